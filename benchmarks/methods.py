@@ -4,10 +4,10 @@
 
 A scene is a demo with its argument, if any ("air_dome 10000"), or a case of
 `benchmarks/accuracy/cases.py` on n cells ("model 3, smooth: 34"). Its first line has the counts of
-BLMVM's iterations, Newton steps, Newton steps of small clusters of blocks (local relaxation),
+BLMVM's iterations, Newton steps, Newton steps of patches (relaxation),
 evaluations of energy and gradient, factorisations and minimisations, and the processor time of all
-load steps. The second line has the same with BLMVM and H0 alone: under cables without steps by
-exact second derivatives and without local relaxation. Both run in turns in one process, after a
+load steps. The second line has the same with BLMVM and H0 alone: under cables without second
+derivatives and without relaxation. Both run in turns in one process, after a
 first run that compiles everything; times are medians. Both lines have the energies at the end, of
 each solver: where these differ, cables took other paths.
 """

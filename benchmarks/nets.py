@@ -6,7 +6,7 @@ The roof of `demos/air_dome.py` with N cables (14 by default) in each of its two
 inflated from its plan shape to 0.3 kPa and then to 0.5 kPa, with 1500, 10 000 and 30 000 unknowns
 of the membrane by default. With --held the cables slide along the edges that they cross, but not to
 other cells. Seconds are CPU time of this process; the numbers of evaluations, factorisations of H0
-and separate Newton steps of small clusters of points do not depend on the machine.
+and separate Newton steps of patches do not depend on the machine.
 
 Energies that differ by less than the mesh error decide on which side cables pass vertices. Where
 two versions decide differently, tensions differ by some .2 % (rms).

@@ -21,13 +21,13 @@ MUMPS = "crms_h0_pc_factor_mat_solver_type"
 
 
 class H0Alone(Minimizer):
-    """BLMVM with H0: under cables without exact second derivatives and without relaxation."""
+    """BLMVM with H0: under cables without second derivatives and without relaxation."""
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
         if self._relaxation is not None:
             self._relaxation.destroy()
-        self._relaxation = self._newton_method.relaxation = None
+        self._relaxation, self._by_cables = None, False
 
 
 class WithoutH0(H0Alone):

@@ -43,10 +43,10 @@ class Watch:
         self.is_late, self.reached = False, float("nan")
         evaluate, sum_up = Potential.evaluate, Potential.sum_up
 
-        def watched(potential: Potential, vertices: bool = True) -> float:
+        def watched(potential: Potential) -> float:
             self.evaluations += 1
             self.work += 3 * potential.unknowns.n_global
-            self.energy = evaluate(potential, vertices)
+            self.energy = evaluate(potential)
             if self.is_late:
                 free = ~potential.unknowns.held[: potential.unknowns.n_owned]
                 residual = np.linalg.norm(potential.g[: len(free)][free])
@@ -54,9 +54,9 @@ class Watch:
                 raise OutOfTimeError
             return self.energy
 
-        def noted(potential: Potential, vertices: bool = True) -> None:
+        def noted(potential: Potential) -> None:
             self.first = time.process_time() if self.first is None else self.first
-            sum_up(potential, vertices)
+            sum_up(potential)
 
         Potential.evaluate = watched  # type: ignore[method-assign]
         Potential.sum_up = noted  # type: ignore[method-assign]

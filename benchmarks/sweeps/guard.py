@@ -27,12 +27,12 @@ def bounded(evaluations: int, seconds: float) -> Iterator[None]:
     """
     sum_up, spent = Potential.sum_up, 0  # each evaluation begins with it
 
-    def counted(self: Potential, vertices: bool = True) -> None:
+    def counted(self: Potential) -> None:
         nonlocal spent
         spent += 1
         if spent > evaluations:
             raise Hang(f"more than {evaluations} evaluations")
-        sum_up(self, vertices)
+        sum_up(self)
 
     def out_of_time(number: int, frame: Any) -> None:
         raise Hang(f"more than {seconds:g} s")

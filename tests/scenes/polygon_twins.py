@@ -1,5 +1,5 @@
-"""Polygons as lists of their corners: what the package's kernels do, and slow twins of them; and
-slow twins of what sorts blocks into clusters and solves in them."""
+"""Polygons as lists of their corners: what the package's kernels do, and slow twins of them; and a
+twin of what closes the stiffness of a patch."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from crms_fenicsx.energy.minimization.cluster_matrix import ClusterMatrix
 from crms_fenicsx.foundation.runtime.arrays import pointers
 from crms_fenicsx.foundation.surface.polygons import fan_facets, split_polygons
 
@@ -75,19 +74,6 @@ def _split(parts: list[list[int]], line: list[int]) -> None:
             return
 
 
-def dense_cluster(matrix: ClusterMatrix, cluster: int) -> Array:
-    """Matrix of a cluster, (3 k, 3 k), the dyads of the columns that border it included."""
-    start, end = matrix.rows[cluster : cluster + 2]
-    K = np.zeros((end - start, end - start))
-    for row in range(start, end):
-        for col in range(matrix.first[row], row + 1):
-            K[row - start, col - start] = K[col - start, row - start] = matrix.values[
-                matrix.at[row] + col
-            ]
-    n = 3 * int(np.diff(matrix.layout.starts)[cluster])
-    return K[:n, :n] + K[:n, n:] @ K[n:, :n]
-
-
 def closed(K: Array, part: float, held: Array, sliders: dict[int, Array]) -> Array:
     """A dense matrix with its diagonal shifted by a part, without what is not free to move. Shapes:
     held (k, 3); `sliders`: projectors (3, 3) of those in K."""
@@ -99,13 +85,3 @@ def closed(K: Array, part: float, held: Array, sliders: dict[int, Array]) -> Arr
         at = slice(3 * block, 3 * block + 3)
         P[at, at], rest[at, at] = own, mean * (np.eye(3) - own)
     return P @ (K + np.diag(np.repeat(part * (traces + mean), 3))) @ P + rest
-
-
-def connected(elements: Sequence[Sequence[int]], blocks: Sequence[int]) -> set[frozenset[int]]:
-    """Sets of blocks that elements join."""
-    sets = [{block} for block in blocks]
-    for element in elements:
-        own = [some for some in sets if some & set(element)]
-        sets = [some for some in sets if some not in own]
-        sets += [set().union(*own)] if own else []
-    return {frozenset(some) for some in sets}

@@ -266,7 +266,7 @@ class _FoldedCellsOf:
 
 class PlainCells:
     """This rank's plain cells beside folded ones, for terms of some of them: DOLFINx forms
-    integrate over all cells, local relaxation next to a cable needs only a few."""
+    integrate over all cells, relaxation next to a cable needs only a few."""
 
     def __init__(self, unknowns: Unknowns, membrane: MembraneEnergy) -> None:
         self._energy, mesh = membrane, membrane.u.function_space.mesh

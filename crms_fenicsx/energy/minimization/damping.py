@@ -10,9 +10,7 @@ far beyond the quadratic model, and the line search then shortens the whole step
 
 With them the unbalanced force on a point alone moves it by a fraction of the edge, or by the
 segment's length. They vanish with the forces: Levenberg damping proportional to the residual.
-
-Steps by the exact second derivatives have no springs. There vertices that move by a thousandth of a
-cell send a point over several cells, so each is stopped short of its edge's ends (`stop_short`).
+Second derivatives have no springs.
 """
 
 from __future__ import annotations
@@ -32,9 +30,6 @@ from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices
 SLIDE = 0.1
 """Fraction of its edge, or of the cell size, by which the unbalanced force alone moves a sliding
 point; 0.02 to 0.2 perform alike."""
-
-REACH = 0.9
-"""Fraction of the way to the edge's end that a sliding point may go in a Newton step."""
 
 
 @dataclass(frozen=True)
@@ -90,26 +85,6 @@ class Damping:
         stiffness = _ratio(force[self.springs.shifts], SLIDE * self.springs.sizes)
         np.multiply(stiffness[:, None, None], np.eye(3), out=self._of_shifts.values)
         self._of_shifts.add(A)
-
-    def stop_short(self, unknowns: Unknowns, x0: Array, x: Array) -> tuple[Indices, Array]:
-        """Move sliding points in `x` back that on the way from `x0` come too near an edge's end;
-        x0, x (n_local, 3). Returns moved blocks (m,), all owned, and changes (m, 3) (length)."""
-        before, _ = self._places(unknowns.X + x0)
-        after, side = self._places(unknowns.X + x)
-        # A point already beyond an end goes no farther.
-        to_start, to_end = (np.minimum((1.0 - REACH) * s, s) for s in (before, 1.0 - before))
-        back = np.clip(after, to_start, 1.0 - to_end) - after
-        moved = back != 0.0
-        points, change = self.springs.sliders[moved, 0], back[moved, None] * side[moved]
-        x[points] += change
-        return points, change
-
-    def _places(self, X: Array) -> tuple[Array, Array]:
-        """Fractions of the sliding points on their edges, (n,), and the edges, (n, 3)."""
-        point, start, end = self.springs.sliders.T
-        side = X[end] - X[start]
-        along = np.einsum("ni,ni->n", X[point] - X[start], side)
-        return _ratio(along, np.einsum("ni,ni->n", side, side)), side
 
 
 def _ratio(a: Array, b: Array) -> Array:

@@ -1,90 +1,91 @@
-"""The potential of some blocks with all others held, minimised by Newton's method.
+"""The potential of a patch of blocks with all others held, minimised by Newton's method.
 
-Its terms are the elements that depend on these blocks; all other forces on them are constant.
-Blocks fall into clusters that share no element. Each has its own energy and step length; all step
-together. Clusters on one cable interact by the stiffness of its pieces, see `CableTension.split`.
-
-Elements live on the ranks of their cells. A cluster with elements on several ranks is solved by the
-rank that owns most of its blocks; the others send it their elements and block states. So clusters
-are solved alike for any partition of the mesh.
+Its terms are the elements that depend on these blocks; all other forces on them are constant. The
+first rank gathers the elements and minimises, so the result does not depend on the partition of the
+mesh. A patch is small: its stiffness is a dense matrix, to which the cables' dyads are added.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
 from mpi4py import MPI
-from scipy.sparse.csgraph import connected_components
+from scipy.linalg import LinAlgError, cho_factor, cho_solve
+from scipy.linalg.blas import dsyr
 
-from crms_fenicsx.energy.minimization.cluster_matrix import ClusterLayout, ClusterMatrix
 from crms_fenicsx.energy.minimization.damping import Damping
+from crms_fenicsx.energy.minimization.initial_hessian import EXACT_SHIFT, SHIFT
 from crms_fenicsx.energy.minimization.potential import Potential
 from crms_fenicsx.energy.minimization.strategy import Strategy
 from crms_fenicsx.energy.terms.term import EnergyTerm
-from crms_fenicsx.foundation.dofs.layout import ElementTable, Unknowns
+from crms_fenicsx.foundation.dofs.block_patterns import BlockPattern, scatter_blocks
+from crms_fenicsx.foundation.dofs.layout import ElementTable
 from crms_fenicsx.foundation.dofs.local_blocks import LocalBlocks
-from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices, Integers
+from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers
 
 SPRINGS = -1
 """Term number of the damping springs."""
 
-Tables = Sequence[tuple[int, ElementTable]]
-Message = TypeVar("Message")
+STEADY = 1e-11
+"""Energy change, relative to its parts, below which the trapezoidal rule avoids rounding."""
 
 
 @dataclass(frozen=True)
-class Clusters:
-    """Clusters: their elements and the state of the n blocks that these address."""
+class PatchData:
+    """Elements of a patch, and the state of the n blocks that these address."""
 
     numbers: Integers  # (n,) global numbers of the blocks
-    owned: Booleans  # (n,) whether the sending rank owns them
+    owned: Booleans  # (n,) whether the telling rank owns them
     # X, x, g: (n, 3) positions at zero displacement, displacements, forces of the whole potential
     X: Array
     x: Array
     g: Array
-    moves: Booleans  # (n,) whether they belong to the clusters; all others are held
+    moves: Booleans  # (n,) whether they move; all others are held
     held: Booleans  # (n, 3) components with a prescribed value
     projectors: Array  # (n, 3, 3) of sliders; zero for others
     # rides_on, weights: (n, 3) global numbers of the blocks that tied points ride on, -1 for other
     # blocks, and weights
     rides_on: Integers
     weights: Array
-    tables: Tables  # term numbers of the potential, and elements of each
+    tables: Sequence[tuple[int, ElementTable]]  # term numbers of the potential, elements of each
 
     @classmethod
-    def of(cls, potential: Potential, moving: Indices, tables: Tables) -> Clusters:
-        """This rank's part of the clusters with the blocks `moving`."""
+    def of(cls, potential: Potential, moves: Booleans) -> PatchData:
+        """This rank's part of the patch of the flagged blocks, (n_local,)."""
         unknowns, n = potential.unknowns, potential.unknowns.n_local
-        used = np.zeros(n, dtype=bool)
-        used[moving] = True
-        for _, table in tables:
+        used, on_points = moves.copy(), moves[unknowns.interpolation].any(axis=1)
+        used[unknowns.tied_points] |= on_points
+        tables = [(k, term.elements_on(used)) for k, term in enumerate(potential.terms)]
+        if potential.damping is not None:
+            tables.append((SPRINGS, potential.damping.elements_on(used)))
+        told = [(k, table) for k, table in tables if table is not None]
+        used = moves.copy()
+        for _, table in told:
             for name in table.addresses:
                 used[getattr(table, name)] = True
         used[unknowns.interpolation[used[unknowns.tied_points]]] = True
         blocks = np.flatnonzero(used)
         number = np.full(n, -1, dtype=np.int32)
         number[blocks] = np.arange(len(blocks))
-        numbers, moves = unknowns.numbers(), np.zeros(n, dtype=bool)
-        moves[moving] = True
+        numbers = unknowns.numbers().astype(np.int64)
         projectors, weights = np.zeros((n, 3, 3)), np.zeros((n, 3))
         rides_on = np.full((n, 3), -1, dtype=np.int64)
         projectors[unknowns.sliders] = unknowns.projectors
         rides_on[unknowns.tied_points] = numbers[unknowns.interpolation]
         weights[unknowns.tied_points] = unknowns.weights
         values = (
-            numbers.astype(np.int64), np.arange(n) < unknowns.n_owned, unknowns.X, potential.x,
-            potential.g, moves, unknowns.held, projectors, rides_on, weights,
+            numbers, np.arange(n) < unknowns.n_owned, unknowns.X, potential.x, potential.g, moves,
+            unknowns.held, projectors, rides_on, weights,
         )  # fmt: skip
-        told = [(k, table.renumbered(number)) for k, table in tables]
-        return cls(*(value[blocks] for value in values), told)  # type: ignore[call-arg, arg-type]
+        own = [(k, table.renumbered(number)) for k, table in told]
+        return cls(*(value[blocks] for value in values), own)  # type: ignore[call-arg, arg-type]
 
     @classmethod
-    def joined(cls, parts: Sequence[Clusters]) -> Clusters:
-        """Merge the parts of the same clusters sent by several ranks."""
+    def joined(cls, parts: Sequence[PatchData]) -> PatchData:
+        """Merge the parts told by several ranks."""
         if len(parts) == 1:
             return parts[0]
         numbers = np.concatenate([part.numbers for part in parts])
@@ -102,270 +103,189 @@ class Clusters:
         ]
         return cls(*values, told)  # type: ignore[call-arg]
 
-    def layout(self) -> LocalBlocks:
-        """The blocks as a layout."""
-        blocks = LocalBlocks(self.X)
-        blocks.held[:] = self.held
-        tied_points = np.flatnonzero(self.rides_on[:, 0] >= 0).astype(np.int32)
-        order = np.argsort(self.numbers)
-        on = order[np.searchsorted(self.numbers[order], self.rides_on[tied_points])]
-        blocks.set_tied_points(tied_points, on.astype(np.int32), self.weights[tied_points])
-        sliders = np.flatnonzero(self.projectors.any(axis=(1, 2))).astype(np.int32)
-        blocks.set_sliders(sliders, self.projectors[sliders])
-        return blocks
-
     def elements_of(self, term: int) -> Sequence[ElementTable]:
         """Elements of a term, in as few tables as possible."""
         tables = [table for k, table in self.tables if k == term]
         return type(tables[0]).joined(tables) if tables else ()
 
 
-def gather(potential: Potential, moves: Booleans, shared: Booleans, largest: int) -> Clusters:
-    """Gather the clusters that this rank solves, of up to `largest` blocks; moves, shared
-    (n_local,). Collective."""
-    unknowns, comm = potential.unknowns, potential.comm
-    blocks, tables = np.flatnonzero(moves).astype(np.int32), _elements(potential, moves)
-    if comm.size == 1 and len(blocks) <= largest:
-        return Clusters.of(potential, blocks, tables)
-    elements = [table.element_blocks for k, table in tables if k != SPRINGS]
-    layout = ClusterLayout(unknowns, blocks, elements)
-    rank = _solvers(layout, shared, largest)[layout.cluster]
-    parts = {}
-    for solver in {comm.rank, *map(int, rank[rank >= 0])}:
-        own = np.sort(layout.blocks[rank == solver])
-        some = tables
-        if len(own) < len(blocks):
-            chosen = np.zeros_like(moves)
-            chosen[own] = True
-            some = _elements(potential, chosen)
-        parts[solver] = Clusters.of(potential, own, some)
-    return Clusters.joined(exchange(comm, parts))
+class _PatchBlocks(LocalBlocks):
+    """The blocks of a patch as a layout."""
+
+    comm = MPI.COMM_SELF
+
+    def __init__(self, patch: PatchData) -> None:
+        super().__init__(patch.X)
+        self.held[:] = patch.held
+        tied_points = np.flatnonzero(patch.rides_on[:, 0] >= 0).astype(np.int32)
+        order = np.argsort(patch.numbers)
+        on = order[np.searchsorted(patch.numbers[order], patch.rides_on[tied_points])]
+        self.set_tied_points(tied_points, on.astype(np.int32), patch.weights[tied_points])
+        sliders = np.flatnonzero(patch.projectors.any(axis=(1, 2))).astype(np.int32)
+        self.set_sliders(sliders, patch.projectors[sliders])
 
 
-def _elements(potential: Potential, moves: Booleans) -> Tables:
-    """This rank's elements that depend on some blocks or on points tied to them."""
-    unknowns, chosen = potential.unknowns, moves.copy()
-    chosen[unknowns.tied_points] |= chosen[unknowns.interpolation].any(axis=1)
-    tables = [(k, term.elements_on(chosen)) for k, term in enumerate(potential.terms)]
-    if potential.damping is not None:
-        tables.append((SPRINGS, potential.damping.elements_on(chosen)))
-    return [(k, table) for k, table in tables if table is not None]
+class _DenseStiffness:
+    """Stiffness of the moving `blocks` (n,), to which terms add as to a PETSc matrix: only what is
+    on and above the diagonal of `values` (3 n, 3 n) counts."""
 
+    def __init__(self, layout: LocalBlocks, blocks: Integers) -> None:
+        self._layout, self._number = layout, np.full(layout.n_local, -1)
+        self._number[blocks] = np.arange(len(blocks))
+        self.values: Array = np.zeros((3 * len(blocks), 3 * len(blocks)))
+        self._places: dict[BlockPattern, Any] = {}
 
-def _solvers(layout: ClusterLayout, shared: Booleans, largest: int) -> Integers:
-    """Rank that solves each cluster, -1 if it has more than `largest` blocks; shared (n_local,).
-    Collective."""
-    unknowns = layout.whole
-    assert isinstance(unknowns, Unknowns)
-    comm = unknowns.comm
-    own = layout.cluster[layout.blocks < unknowns.n_owned]
-    sizes = np.bincount(own, minlength=layout.n_clusters)
-    solvers = np.where(sizes > largest, -1, comm.rank)
-    if comm.size == 1:
-        return solvers
-    known = shared[layout.blocks]
-    seen, piece = np.unique(layout.cluster[known], return_inverse=True)
-    told = comm.allgather((unknowns.numbers()[layout.blocks[known]], piece, sizes[seen]))
-    counts = [len(own_sizes) for _, _, own_sizes in told]
-    starts = np.cumsum([0, *counts])
-    numbers, block = np.unique(np.concatenate([part[0] for part in told]), return_inverse=True)
-    pieces = np.concatenate(
-        [part[1] + start for part, start in zip(told, starts[:-1], strict=True)]
-    )
-    size, edges = starts[-1] + len(numbers), (pieces, starts[-1] + block)
-    graph = sp.csr_matrix((np.ones(len(pieces), dtype=np.int8), edges), shape=(size, size))
-    cluster = connected_components(graph, directed=False)[1][: starts[-1]]
-    shares = np.zeros((int(cluster.max(initial=-1)) + 1, comm.size), dtype=np.int64)
-    ranks = np.repeat(np.arange(comm.size), counts)
-    np.add.at(shares, (cluster, ranks), np.concatenate([part[2] for part in told]))
-    most = np.where(shares.sum(axis=1) > largest, -1, shares.argmax(axis=1))
-    solvers[seen] = most[cluster[starts[comm.rank] : starts[comm.rank + 1]]]
-    return solvers
+    def take(self, pattern: BlockPattern) -> None:
+        """Add a pattern's values, except those of held blocks."""
+        if pattern not in self._places:
+            (rows, cols), sources, weights = self._layout.spread(pattern.rows, pattern.cols)
+            i, j = self._number[rows], self._number[cols]
+            own = np.flatnonzero((i >= 0) & (j >= i))
+            size = len(self.values)
+            starts, strides = 3 * (i[own] * size + j[own]), np.full(len(own), size)
+            self._places[pattern] = *pattern.parts(sources[own], weights[own]), starts, strides
+        scatter_blocks(pattern.values, *self._places[pattern], self.values.reshape(-1))
 
-
-def give_back(
-    potential: Potential, clusters: Clusters, blocks: Indices, flags: Booleans
-) -> Booleans:
-    """Send displacements and flags of `blocks` (m,) to their owners, which update the potential,
-    and return the flags of this rank's blocks, (n_local,). Collective."""
-    starts = potential.unknowns.starts
-    numbers, x = clusters.numbers[blocks], clusters.x[blocks]
-    owner = np.searchsorted(starts, numbers, side="right") - 1
-    messages: dict[int, tuple[Integers, Array, Booleans]] = {}
-    for other in map(int, np.unique(owner)):
-        own = owner == other
-        messages[other] = numbers[own] - starts[other], x[own], flags[own]
-    found: Booleans = np.zeros(potential.unknowns.n_local, dtype=bool)
-    for place, values, flag in exchange(potential.comm, messages):
-        potential.x[place] = values
-        found[place] = flag
-    return found
-
-
-def exchange(comm: MPI.Intracomm, messages: Mapping[int, Message]) -> list[Message]:
-    """Send messages to ranks and return those received, in rank order. Collective."""
-    own = messages.get(comm.rank)
-    if comm.size == 1:
-        return [] if own is None else [own]
-    others = [messages.get(rank) if rank != comm.rank else None for rank in range(comm.size)]
-    received = comm.alltoall(others)
-    received[comm.rank] = own
-    return [message for message in received if message is not None]
-
-
-STEADY = 1e-11
-"""Energy change, relative to its parts, below which the trapezoidal rule avoids rounding."""
+    def solve(self, b: Array, exact: bool, bound: Integers, projectors: Array) -> Array | None:
+        """Solve for b (n, 3), with the blocks `bound` (k,) on their free directions, given by
+        `projectors` (k, 3, 3); None if the matrix is not definite. Overwrites `values`. The
+        diagonal is shifted as that of H0, less if `exact`."""
+        A, n = self.values, len(b)
+        traces = A.diagonal().reshape(n, 3).sum(axis=1)
+        some = np.log(traces[traces > 0.0])
+        mean = float(np.exp(some.mean())) if len(some) else 1.0
+        part = EXACT_SHIFT if exact else SHIFT
+        A.reshape(-1)[:: 3 * n + 1] += np.repeat(part * (np.maximum(traces, 0.0) + mean), 3)
+        for k, P in zip(3 * bound, projectors, strict=True):
+            own = slice(k, k + 3)
+            A[:k, own] = A[:k, own] @ P
+            A[own, k + 3 :] = P @ A[own, k + 3 :]
+            A[own, own] = P @ A[own, own] @ P + mean * (np.eye(3) - P)
+        try:
+            factors = cho_factor(A.T, lower=True, overwrite_a=True, check_finite=False)
+        except LinAlgError:
+            return None
+        return np.asarray(cho_solve(factors, b.ravel(), check_finite=False).reshape(n, 3))
 
 
 class LocalPotential:
     """Part of a potential that depends on some blocks, as a function of them alone.
 
-    Creating one is collective: ranks with clusters on a common cable exchange only their number.
-
-    Attributes: `layout`: the clusters, as blocks of `clusters`; `blocks` (n,): the moving blocks in
-    the clusters' order; `x` (n_blocks, 3): displacements of the blocks of `clusters` (length),
-    changed in place; `g` (n, 3): forces on the moving blocks, last evaluated (force); `energies`
-    (n_clusters,): cluster energies (force x length); `steps`: Newton steps made.
+    Attributes: `blocks` (n,): the moving blocks, of those of the patch; `x` (n_blocks, 3):
+    displacements of all blocks of the patch (length), changed in place; `g` (n, 3): forces on the
+    moving blocks, last evaluated (force); `energy`: at that state (force x length); `steps`: Newton
+    steps made.
     """
 
-    def __init__(self, whole: Potential, clusters: Clusters, strategy: Strategy) -> None:
-        self.strategy = strategy
-        kinds = range(len(whole.terms))
-        tables = [(k, table) for k in kinds for table in clusters.elements_of(k)]
-        elements = [table.element_blocks for _, table in tables]
-        moving = np.flatnonzero(clusters.moves).astype(np.int32)
-        self.layout = ClusterLayout(clusters.layout(), moving, elements)
+    def __init__(self, whole: Potential, patch: PatchData, strategy: Strategy) -> None:
+        self.strategy, self.layout = strategy, _PatchBlocks(patch)
         self.terms: list[EnergyTerm] = []
-        for k, table in tables:
-            term = whole.terms[k].of_elements(table, whole.sums_of(whole.terms[k]))
-            self.terms.append(term.split(self.layout.groups, whole.comm))
-        self._clusters = [self.layout.clusters_of(*own) for own in elements]
-        for term in self.terms:
-            term.attach(self.layout)  # type: ignore[arg-type]  # as much as terms need
+        for k, term in enumerate(whole.terms):
+            for table in patch.elements_of(k):
+                self.terms.append(term.of_elements(table, whole.sums_of(term)))
+                self.terms[-1].attach(self.layout)  # type: ignore[arg-type]  # as terms need
         self._sums = [np.zeros(term.n_sums) for term in self.terms]
-        springs: Sequence[Any] = clusters.elements_of(SPRINGS)
+        springs: Sequence[Any] = patch.elements_of(SPRINGS)
         self._damping = [Damping(table) for table in springs]
-        self.x, self._forces = clusters.x, np.zeros_like(clusters.x)
-        self.blocks = self.layout.blocks
+        self.blocks = np.flatnonzero(patch.moves)
+        self.x, self._forces, self.steps = patch.x, np.zeros_like(patch.x), 0
+        sliders = np.asarray(patch.projectors[self.blocks].any(axis=(1, 2)))
+        held = patch.held[self.blocks]
+        self._bound = np.flatnonzero(held.any(axis=1) | sliders)
+        P = np.eye(3) * ~held[self._bound, None]
+        P[sliders[self._bound]] = patch.projectors[self.blocks[sliders]]
+        self._projectors = P
         self.g: Array = np.zeros((len(self.blocks), 3))
-        self.energies: Array = np.zeros(self.layout.n_clusters)
-        self._others, self._start = self.g.copy(), self.x[self.blocks]
-        self.steps, self._n_all = 0, whole.comm.allreduce(self.layout.n_clusters)
-        given = clusters.g[self.blocks]
-        self.layout.project(given)
-        self._evaluate()
+        self._others: Array = self.g
+        self.energy, self._size, self._start = 0.0, 0.0, self.x[self.blocks]
+        given = self._project(patch.g[self.blocks])
+        self.evaluate()
         # Forces from everything but these terms are constant.
         self._others = given - self.g
-        self.g[:] = given
-        self._sizes = self._by_cluster(np.abs)
-        patterns = [pattern for term in self.terms for pattern in term.patterns]
-        patterns += [pattern for damping in self._damping for pattern in damping.patterns]
-        columns = [term.columns for term in self.terms if term.columns is not None]
-        self._matrix = ClusterMatrix(self.layout, patterns, *columns)
+        self.g = given
+        self._matrix = _DenseStiffness(self.layout, self.blocks)
 
-    def _by_cluster(self, function: Callable[[Array], Array]) -> Array:
-        """Sum over each cluster of a function of the element energies."""
-        total = np.zeros(self.layout.n_clusters)
-        for term, sums, cluster in zip(self.terms, self._sums, self._clusters, strict=True):
-            own = cluster >= 0
-            values = function(term.element_energies(sums))[own]
-            total += np.bincount(cluster[own], values, minlength=len(total))
-        return total
-
-    def _evaluate(self) -> None:
-        """Compute cluster energies and block forces at the current state."""
-        self.layout.whole.place_tied_points(self.x)
+    def evaluate(self) -> None:
+        """Compute energy and forces at the current state."""
+        self.layout.place_tied_points(self.x)
         self._forces[:] = 0.0
+        parts = []
         for term, sums in zip(self.terms, self._sums, strict=True):
             term.sums(self.x, sums)
             term.add_gradient(self.x, sums, self._forces)
-        self.layout.whole.transfer_tied_forces(self._forces)
-        np.take(self._forces, self.blocks, axis=0, out=self.g)
-        self.layout.project(self.g)
-        self.g += self._others
-        work = np.sum(self._others * (self.x[self.blocks] - self._start), axis=1)
-        np.add(self._by_cluster(np.asarray), self._sum(work), out=self.energies)
+            parts.append(term.energy(sums))
+        self.layout.transfer_tied_forces(self._forces)
+        self.g = self._project(self._forces[self.blocks]) + self._others
+        work = float(np.sum(self._others * (self.x[self.blocks] - self._start)))
+        self.energy, self._size = sum(parts) + work, sum(map(abs, parts))
 
-    def _sum(self, values: Array) -> Array:
-        """Sums of block values (n,) over each cluster."""
-        total = np.bincount(self.layout.cluster, values, self.layout.n_clusters)
-        return total.astype(np.float64)
+    def _project(self, values: Array) -> Array:
+        """Project vectors of the moving blocks (n, 3) on the free directions, in place."""
+        free = np.einsum("nij,nj->ni", self._projectors, values[self._bound])
+        values[self._bound] = free
+        return values
 
-    def residuals(self) -> Array:
-        """Norm of the forces on each cluster, (n_clusters,)."""
-        return np.sqrt(self._sum(np.sum(self.g**2, axis=1)))
+    def minimize(self, tolerance: float) -> bool:
+        """Minimise to `tolerance` (force) in a few steps; return whether that was reached. Short
+        steps by the second derivatives are followed by as many with H0."""
+        s, short, least = self.strategy, 0, max(tolerance, 1e-3 * float(np.linalg.norm(self.g)))
+        for step in range(s.local_steps):
+            if np.linalg.norm(self.g) <= least:
+                return True
+            exact = step > 0 and short < s.twice
+            length = self._step(exact)
+            if length == 0.0:
+                return False
+            short = (short + 1 if length < s.short else 0) if exact else short - (short >= s.twice)
+        return bool(np.linalg.norm(self.g) <= least)
 
-    def relax(self, tolerance: float, most: int) -> Booleans:
-        """Minimise the energy of each cluster to `tolerance` (force) in at most `most` steps.
-        Returns whether each block's cluster has not converged, (n,)."""
-        n = self.layout.n_clusters
-        least = np.maximum(tolerance / max(self._n_all, 1) ** 0.5, 1e-3 * self.residuals())
-        able = np.ones(n, dtype=bool)
-        short = np.zeros(n, dtype=int)
-        for step in range(most):
-            todo = able & (self.residuals() > least)
-            if not todo.any():
-                break
-            exact = todo & (short < self.strategy.twice) & (step > 0)
-            lengths = self._step(todo, exact)
-            able &= ~todo | (lengths > 0.0)
-            short[exact] = np.where(lengths < self.strategy.short, short + 1, 0)[exact]
-            short -= todo & ~exact & (short >= self.strategy.twice)
-        return np.asarray((self.residuals() > least)[self.layout.cluster])
+    def _step(self, exact: bool) -> float:
+        """Make a Newton step with line search; return its length, 1 at most, or 0 where the energy
+        does not fall."""
+        start, g0, energy0 = self.x[self.blocks], self.g, self.energy
+        d = self._direction(True) if exact else None
+        d = self._direction(False) if d is None else d
+        if d is None:
+            return 0.0
+        slope, length = float(np.sum(d * g0)), 1.0
+        while slope < 0.0 and length >= self.strategy.shortest_local:
+            self.x[self.blocks] = start + length * d
+            self.evaluate()
+            change = self.energy - energy0
+            if abs(change) <= STEADY * self._size:
+                change = 0.5 * length * (slope + float(np.sum(d * self.g)))
+            if change <= self.strategy.descent * length * slope:
+                self.steps += 1
+                return length
+            curved = 2 * (change - slope * length)  # nan where the energy is not finite
+            best = -slope * length**2 / curved if curved > 0.0 else 0.0
+            length = min(max(best, 0.1 * length), 0.5 * length)
+        self.x[self.blocks] = start
+        self.evaluate()
+        return 0.0
 
-    def _step(self, todo: Booleans, exact: Booleans) -> Array:
-        """Make a Newton step with line search in each cluster; todo, exact (n_clusters,). Returns
-        the step lengths, 1 at most; 0 where the energy does not fall."""
-        cluster, start, g0 = self.layout.cluster, self.x[self.blocks], self.g.copy()
-        energies0 = self.energies.copy()
-        d = self._directions(todo, exact)
-        slopes = self._sum(np.sum(d * g0, axis=1))
-        lengths = np.where(todo & (slopes < 0.0), 1.0, 0.0)
-        pending = lengths > 0.0
-        while True:
-            self.x[self.blocks] = start + lengths[cluster, None] * d
-            self._evaluate()
-            change = self.energies - energies0
-            steady = np.abs(change) <= STEADY * self._sizes
-            rule = 0.5 * lengths * (slopes + self._sum(np.sum(d * self.g, axis=1)))
-            change = np.where(steady, rule, change)
-            pending &= ~(change <= self.strategy.descent * lengths * slopes)
-            if not pending.any():
-                self.steps += int(np.count_nonzero(lengths))
-                return lengths
-            curved = np.where(pending, change - slopes * lengths, 1.0)
-            with np.errstate(invalid="ignore", divide="ignore"):
-                best = np.where(curved > 0.0, -slopes * lengths**2 / (2 * curved), 0.5 * lengths)
-            shorter = np.clip(np.nan_to_num(best, nan=0.0), 0.1 * lengths, 0.5 * lengths)
-            shorter[shorter < self.strategy.shortest_local] = 0.0
-            lengths = np.where(pending, shorter, lengths)
-            pending &= lengths > 0.0
-
-    def _directions(self, todo: Booleans, exact: Booleans) -> Array:
-        """Newton directions of descent at the current state, (n, 3)."""
-        d, left = np.zeros_like(self.g), todo.copy()
-        for kind in (True, False):
-            wanted = left & exact if kind else left
-            if wanted.any():
-                self._assemble(wanted, kind)
-                left &= ~self._matrix.solve(wanted, -self.g, d)
-        return d
-
-    def _assemble(self, wanted: Booleans, exact: bool) -> None:
-        """Assemble second derivatives, or H0, of the wanted clusters at the current state."""
-        A = self._matrix
-        A.clear()
-        for term, cluster in zip(self.terms, self._clusters, strict=True):
-            if term.active is not None:
-                np.take(np.append(wanted, False), cluster, out=term.active)
+    def _direction(self, exact: bool) -> Array | None:
+        """Newton direction by the second derivatives, or by H0 with springs, at the current state,
+        (n, 3); None if they are not definite."""
+        self._assemble(exact)
         if not exact:
             self._forces[:] = 0.0  # held blocks need no damping
             self._forces[self.blocks] = self.g
+            layout: Any = self.layout  # as much as springs need
             for damping in self._damping:
-                damping.add_stiffness(self.layout, self.x, self._forces, A)  # type: ignore[arg-type]
+                damping.add_stiffness(layout, self.x, self._forces, self._matrix)
+        return self._matrix.solve(-self.g, exact, self._bound, self._projectors)
+
+    def _assemble(self, exact: bool) -> None:
+        """Assemble the stiffness of all terms, or their second derivatives."""
+        A = self._matrix
+        A.values[:] = 0.0
         for term, sums in zip(self.terms, self._sums, strict=True):
             (term.add_hessian if exact else term.add_stiffness)(self.x, sums, A)
-            if term.columns is not None:
-                term.dyad_columns(self.x, sums, exact)
-                A.take_columns(term.columns)
-        A.close(exact)
+            for k, value in enumerate(term.dyads(sums, exact)):
+                self._forces[:] = 0.0
+                term.add_dyad_column(k, self.x, self._forces)
+                self.layout.transfer_tied_forces(self._forces)
+                column = self._forces[self.blocks].ravel()
+                if value > 0.0 and column.any():
+                    dsyr(value, column, lower=1, a=A.values.T, overwrite_a=1)

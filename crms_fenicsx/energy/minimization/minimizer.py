@@ -8,9 +8,8 @@ line searches have cost as much. The next solve of the same potential, at other 
 the last H0.
 
 Newton's method, with H0 rebuilt in each iteration, takes over where a stage makes little progress,
-as where much of a membrane is wrinkled or slack. Under cables it leads to near the minimum where
-no earlier H0 is of use: H0 is the energy's second derivative, and cable points far out of balance
-are relaxed before each step.
+as where much of a membrane is wrinkled or slack. Under cables H0 is the energy's second derivative
+near the minimum, and a solve begins with the place that is out of balance (`relaxation.py`).
 
 Near the minimum energy differences drown in rounding before the forces balance. There a stage keeps
 the H0 of the one before and measures energy from its start x0 by the trapezoidal rule, accurate to
@@ -45,7 +44,7 @@ from crms_fenicsx.energy.terms.kinematics import FLOOR, Stiffening
 from crms_fenicsx.foundation.runtime.errors import InputError, garbage_kept
 
 if TYPE_CHECKING:
-    from crms_fenicsx.energy.minimization.relaxation import LocalRelaxation
+    from crms_fenicsx.energy.minimization.relaxation import Relaxation
 
 ROUNDED = 1e-6
 """Residual, relative to the force scale, below which energy is measured from the stage's start, as
@@ -93,7 +92,7 @@ class Minimizer:
         self._close = self._at_start = False
         self._energy0 = self._residual0 = self._tolerance = self._scale = self._near = 0.0
         self._evaluations0, self._length = 0, strategy.stage_lengths[0]
-        self._relaxation: LocalRelaxation | None = None
+        self._relaxation: Relaxation | None = None
         self._h0_is_outdated, self._most_h0_iterations = True, math.inf
         self._interrupt: Interrupt | None = None
         self._looks: tuple[float, ...] = ()
@@ -124,12 +123,18 @@ class Minimizer:
                 f"option -{prefix}tao_type {kind} {why}; choose one of {', '.join(usable)}."
             )
         self._uses_h0 = kind in ("blmvm", "lmvm") and options.getBool("h0", True)
-        if self._uses_h0 and any(term.of_cables for term in potential.terms):
-            from crms_fenicsx.energy.minimization.relaxation import LocalRelaxation
+        # Under cables with neither laws of steps nor bounds H0 may be the second derivatives.
+        self._by_cables = self._uses_h0 and self._bounds is None
+        self._by_cables &= any(term.of_cables for term in potential.terms)
+        self._by_cables &= not any(term.has_history for term in potential.terms)
+        # Forms over all cells may have no counterpart for the cells around some vertices.
+        alone = all(t.integral is None or t.elementwise is not None for t in potential.terms)
+        if self._by_cables and alone:
+            from crms_fenicsx.energy.minimization.relaxation import Relaxation
 
-            self._relaxation = LocalRelaxation.of(potential, strategy)
+            self._relaxation = Relaxation(potential, strategy)
         self._stalling = Stalling(strategy)
-        self._newton_method = NewtonMethod(potential, self.h0, self._relaxation, strategy)
+        self._newton_method = NewtonMethod(potential, self.h0, strategy)
         self._h0_set = False
 
     def destroy(self) -> None:
@@ -243,8 +248,9 @@ class Minimizer:
         lengths = self.strategy.stage_lengths
         self._length = lengths[min(renewals, len(lengths) - 1)]
         self._most_h0_iterations = 2 * self.strategy.rebuild if least > FLOOR else math.inf
-        exact = prestress == 0.0 and failures == 0
-        exact = exact and self._newton_method.wants_exact(self._residual0, self._scale)
+        exact = self._by_cables and self._newton_method.trusts_exact
+        exact &= prestress == 0.0 and failures == 0
+        exact = exact and self._residual0 < self.strategy.exact * self._scale
         if not self.h0.rebuild(exact) and not self.h0.rebuild():
             return False
         if not self._h0_set:
@@ -260,7 +266,7 @@ class Minimizer:
         """Begin a solve at the potential's current state."""
         self._interrupt, self._interrupted, self._error = interrupt, False, None
         strategy = self.strategy
-        self._looks = strategy.looks if self._relaxation is None else strategy.looks_relaxed
+        self._looks = strategy.looks_of_cables if self._by_cables else strategy.looks
         self._newton_method.begin()
         self._stalling = Stalling(strategy)
         if self._bounds is not None and (bounds := self.potential.unknowns.bounds) is not None:
@@ -290,18 +296,18 @@ class Minimizer:
         self._begin(interrupt)
         iterations = newton_steps = factorizations = failures = renewed = 0
         start, stages, best = potential.evaluations, 0.0, np.inf
-        local = 0 if self._relaxation is None else self._relaxation.steps
+        relaxation, warm = self._relaxation, h0_prestress[0] == 0.0
+        local = 0 if relaxation is None else relaxation.steps
         # H0 holds the components in contact with a floor.
         self._h0_is_outdated |= h0_prestress[0] != 0.0 or self._bounds is not None
         self._length = self.strategy.stage_lengths[0]
         while stages < self.max_stages:
             residual, tolerance, rounding = self._evaluate()
-            if self._relaxation is not None and self._relaxation.before_step(
-                residual, tolerance, self._scale, stressed=h0_prestress[0] == 0.0, first=stages == 0
-            ):
+            relaxed = relaxation is not None and warm and stages == 0
+            relaxed = relaxed and relaxation.relax(self._scale)
+            if relaxed:
                 residual, tolerance, rounding = self._evaluate()
-            relaxes = self._relaxation is not None and self._relaxation.has_points
-            if self._newton_method.active or relaxes:  # in stages TAO asks
+            if self._newton_method.active or relaxed:  # in stages TAO asks
                 self._ask(residual)
             end = self._end(residual, tolerance, stages)
             if end or (failures >= 3 and residual > 0.5 * best):
@@ -347,7 +353,7 @@ class Minimizer:
             potential.evaluations - start,
             factorizations,
             newton_steps,
-            0 if self._relaxation is None else self._relaxation.steps - local,
+            0 if relaxation is None else relaxation.steps - local,
             scale=max(self._scale, self.atol / self.rtol),
         )
 
@@ -383,9 +389,7 @@ class Minimizer:
         """Switch from slow stages to Newton's method, or back."""
         newton = self._newton_method
         possible = self.newton and self._uses_h0 and self._bounds is None
-        if (self._h0_is_outdated or newton.active) and newton.is_quick(residual, self._scale):
-            self._h0_is_outdated = True
-        elif newton.active:
+        if newton.active:
             newton.check_progress(residual)
         elif possible and self._h0_is_outdated and stages >= self.strategy.patience:
             newton.take_over(residual, self._residual0, self._scale)

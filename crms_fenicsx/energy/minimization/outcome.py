@@ -54,7 +54,7 @@ class Outcome:
     evaluations: int
     factorizations: int
     newton_steps: int = 0  # iterations of Newton's method
-    local_steps: int = 0  # Newton steps of local clusters of cable points and vertices
+    local_steps: int = 0  # Newton steps of patches of cable points and vertices
     # minimisations: several where cables turned slack or taut, lifted off or slid
     solves: int = 1
     # mesh vertices that cables passed sideways between minimisations, including those on rejected

@@ -73,10 +73,10 @@ class Potential:
         self.unknowns.place_tied_points(self.x)  # some ride on sliders
         self.unknowns.read_vertices(self.x, self._u)
 
-    def sum_up(self, vertices: bool = True) -> None:
+    def sum_up(self) -> None:
         """Compute global sums of all terms at the current state, in the only reduction of an
-        evaluation. Without `vertices` moved since the last one, membrane integrals are kept."""
-        if self._pass is not None and vertices:
+        evaluation."""
+        if self._pass is not None:
             self._pass.assemble()
         for term, part in zip(self.terms, self._slices, strict=True):
             term.sums(self.x, self._local_sums[part])
@@ -107,11 +107,11 @@ class Potential:
         """Global sums of one term, as last computed."""
         return self._sums[self._slices[self.terms.index(term)]]
 
-    def evaluate(self, vertices: bool = True) -> float:
+    def evaluate(self) -> float:
         """Return the energy at the current state and set `g` to the gradient, including held
-        components; `vertices` as in `sum_up`."""
+        components."""
         self.evaluations += 1
-        self.sum_up(vertices)
+        self.sum_up()
         self.g[:] = 0.0
         energy = 0.0
         for term, part in zip(self.terms, self._slices, strict=True):

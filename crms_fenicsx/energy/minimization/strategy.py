@@ -1,5 +1,5 @@
 """The numbers that steer a minimisation. Most decide only how fast it ends; `stall` and
-`least_fall` decide whether it does, and `afar` keeps cables from sliding early, to worse paths."""
+`least_fall` decide whether it does."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ class Strategy:
     """Evaluations of a line search; longer ones almost always fail."""
     looks: tuple[float, ...] = (1e-5,)
     """Residuals at which `solve` asks whether to go on."""
-    looks_relaxed: tuple[float, ...] = (1e-2, 1e-3, 1e-4)
-    """The same where cable points are relaxed, since these no longer dominate the residual."""
+    looks_of_cables: tuple[float, ...] = (1e-2, 1e-3, 1e-4)
+    """The same under cables, whose contacts and paths are judged on the way."""
     stall: int = 50
     """Stages without progress after which a solve ends."""
     least_fall: float = 1e-8
@@ -54,44 +54,19 @@ class Strategy:
     """Newton iterations within which the residual must fall by the factor `stubborn`."""
     wrinkle_stiffness: float = 1e-2
     """Initial stiffness of wrinkled cells, relative to taut cells times sqrt(residual)."""
-    quick_to: float = 1e-4
-    """Residual down to which steps use the second derivatives where cable points can be relaxed."""
-    quick: float = 0.3
-    """Reduction of the residual that is required of `quick_steps` such steps."""
-    quick_steps: int = 10
-    """Steps after which this is checked."""
     exact: float = 0.2
     """Residual below which H0 is the second derivatives, without prestress."""
-    slow: float = 0.7
-    """Reduction of the residual by a quick step with another H0 above which the next step tries the
-    second derivatives earlier."""
     descent: float = 1e-4
     """Fraction of the predicted descent that a Newton step must achieve (Armijo)."""
     shortest: float = 1e-3
     """The shortest Newton step, relative to the full one."""
-    full_rounds: int = 6
-    """Most relaxations of the points after a full step."""
-    gains: float = 0.9
-    """Change of the energy by the step, relative to that before a relaxation, above which there are
-    no more."""
 
-    afar: float = 0.2
-    """Residual above which nothing is relaxed: on a still flat roof cables would slide to worse
-    paths."""
-    point_part: float = 0.1
-    """Force, relative to the largest, above which a point is relaxed."""
-    point_rings: int = 2
-    """Rings of points that are relaxed around it."""
     patch_part: float = 0.02
     """Force, relative to the largest, above which a block of a patch is relaxed."""
     patch_rings: int = 3
     """Rings of blocks that are relaxed around it."""
     most_relaxed: float = 0.5
-    """Fraction of blocks relaxed at once; beyond it all points are relaxed together, no patches."""
-    ratio: float = 0.25
-    """Residual of the points, relative to that of the vertices, above which they are relaxed."""
-    balanced: float = 0.3
-    """Fraction of that bound to reach."""
+    """Largest fraction of the free blocks in a patch."""
     patched: float = 1e-4
     """Residual above which patches are relaxed."""
     settled: float = 1e-6
@@ -100,13 +75,12 @@ class Strategy:
     """Selections of blocks in a relaxation."""
     local_steps: int = 12
     """Newton steps for each selection."""
-    largest_cluster: int = 400
-    """Blocks beyond which a cluster is left to the global minimiser."""
+    largest_patch: int = 200
+    """Most blocks in a patch; larger ones are left to the solve."""
     shortest_local: float = 1e-6
-    """The shortest Newton step of a cluster, relative to the full one."""
+    """The shortest Newton step of a patch, relative to the full one."""
     short: float = 0.3
-    """Length, relative to Newton's, below which a step of a cluster by the exact second derivatives
-    is short."""
+    """Length, relative to Newton's, below which a step by second derivatives is short."""
     twice: int = 2
     """Number of short steps after which H0 replaces these for as many steps."""
 

@@ -100,10 +100,6 @@ class BarEnergy(ElementTerm):
         """Lengths, bounded from below for bars without direction, whose ends coincide."""
         return np.maximum(self.lengths, SHORTEST * self.table.L0)
 
-    def element_energies(self, sums: Array) -> Array:
-        energies: Array = self.forces * self.forces * self.table.L0 / (2 * self.table.EA)
-        return energies
-
 
 @numba.njit(cache=True)
 def _energy(X, x, ends, EA, L0, tension_only, lengths, forces):  # type: ignore[no-untyped-def]

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from mpi4py import MPI
 
 from crms_fenicsx.energy.terms.segments import (
     add_segment_forces,
@@ -15,13 +14,9 @@ from crms_fenicsx.energy.terms.segments import (
     segment_stiffness,
 )
 from crms_fenicsx.energy.terms.term import EnergyTerm
-from crms_fenicsx.foundation.dofs.block_patterns import (
-    BlockSink,
-    ColumnPattern,
-    SegmentPattern,
-)
+from crms_fenicsx.foundation.dofs.block_patterns import BlockSink, SegmentPattern
 from crms_fenicsx.foundation.dofs.layout import ElementTable
-from crms_fenicsx.foundation.runtime.arrays import EPSILON, Array, Booleans, Indices, Integers
+from crms_fenicsx.foundation.runtime.arrays import EPSILON, Array, Booleans, Indices
 from crms_fenicsx.model.cable_state import StepStart
 from crms_fenicsx.model.tolerances import TOL
 
@@ -75,7 +70,7 @@ class CableTension(EnergyTerm):
         self._lengths = np.zeros(len(segments))
         self._forces = np.zeros(len(segments))
         self.pattern, self.links = SegmentPattern(segments), segments
-        self.patterns, self._ends = (self.pattern,), segments
+        self.patterns = (self.pattern,)
 
     def sums(self, x: Array, out: Array) -> None:
         """This rank's part of each cable's length."""
@@ -162,55 +157,12 @@ class CableTension(EnergyTerm):
         add_segment_forces(self.unknowns.X, x, self.segments, self.eps, self._forces, g)
 
     def elements_on(self, chosen: Booleans) -> _CableSegments | None:
-        """Segments with chosen ends; a table on each rank, as `split` is collective."""
         table = _CableSegments(self.segments, self.eps, self.cable, self._lengths)
-        return table.some(table.rows_on(chosen))
+        rows = table.rows_on(chosen)
+        return table.some(rows) if len(rows) else None
 
     def of_elements(self, table: _CableSegments, sums: Array) -> CableTension:
         """Tension of such segments; the rest of each cable keeps its length."""
         some = CableTension(table.ends, table.eps, table.cable, self.EA, self.L0, self.alone)
-        some._lengths[:] = table.lengths
-        some.smoothing_length = some._moving() - sums
+        some.smoothing_length = np.bincount(table.cable, table.lengths, len(self.EA)) - sums
         return some
-
-    def _moving(self) -> Array:
-        """Length of each cable in these segments at the last `sums`, (n_cables,)."""
-        return np.bincount(self.cable, self._lengths, len(self.EA)).astype(np.float64)
-
-    def split(self, groups: Integers, comm: MPI.Intracomm) -> CableTension:
-        """Split cables into pieces, one for each group they run through. Each is as stiff as all
-        pieces of its cable together, so that the sum of energies, as if each moved alone, is an
-        upper bound of the true energy."""
-        group = groups[self.segments].max(axis=1)
-        pieces, piece = np.unique(group * len(self.EA) + self.cable, return_inverse=True)
-        cables = pieces % len(self.EA)
-        counts = np.bincount(cables, minlength=len(self.EA))
-        comm.Allreduce(MPI.IN_PLACE, counts)
-        count = counts[cables]
-        L0, EA = self.L0[cables], self.EA[cables] * count
-        alone = self.alone[cables]
-        some = CableTension(self.segments, self.eps, piece.astype(np.int32), EA, L0, alone)
-        some._lengths[:] = self._lengths
-        stretch = (self._moving() - self.smoothing_length - self.L0)[cables] / count
-        some.smoothing_length = some._moving() - L0 - stretch
-        stride = len(groups)
-        ends, own = np.unique(piece[:, None] * stride + self.segments, return_inverse=True)
-        some._ends = own.reshape(-1, 2).astype(np.int32)
-        some.columns = ColumnPattern(ends // stride, (ends % stride).astype(np.int32))
-        return some
-
-    def dyad_columns(self, x: Array, sums: Array, exact: bool) -> None:
-        """Put ``(EA/L0)^(1/2) grad(L)`` of each taut piece into `columns`."""
-        assert self.columns is not None
-        blocks, values = self.columns.blocks, self.columns.values
-        shared = np.where(self.alone, 0.0, self.stiffnesses(sums, exact))
-        points, self._forces[:] = self.unknowns.X[blocks] + x[blocks], shared[self.cable]
-        values[:] = 0.0
-        add_segment_forces(
-            points, np.zeros_like(points), self._ends, self.eps, self._forces**0.5, values
-        )
-
-    def element_energies(self, sums: Array) -> Array:
-        """Energies of the cables, distributed evenly over their segments."""
-        count = np.bincount(self.cable, minlength=len(self.EA))
-        return np.asarray((self.energies(sums) / np.maximum(count, 1))[self.cable])

@@ -22,7 +22,7 @@ import numpy as np
 from crms_fenicsx.energy.terms.term import ElementTerm
 from crms_fenicsx.foundation.dofs.block_patterns import BlockPattern, BlockSink
 from crms_fenicsx.foundation.dofs.layout import ElementTable, Unknowns
-from crms_fenicsx.foundation.runtime.arrays import EPSILON, Array, Booleans, Indices
+from crms_fenicsx.foundation.runtime.arrays import EPSILON, Array, Indices
 
 
 @dataclass(frozen=True)
@@ -133,15 +133,13 @@ def _add_angle(ru, rc, u, c, w, out, i, eu, ec):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def add_curvature(X, x, points, coefficients, weighted, r, active, blocks):  # type: ignore[no-untyped-def]
-    """Add ``2 mu w r Hessian(w r)`` to blocks (n, 4, 4, 3, 3) of active intersections. Vectors 0, 1
-    and 2 lead from p to the previous and next point on the side, and along the chord."""
+def add_curvature(X, x, points, coefficients, weighted, r, blocks):  # type: ignore[no-untyped-def]
+    """Add ``2 mu w r Hessian(w r)`` to blocks (n, 4, 4, 3, 3) of intersections. Vectors 0, 1 and
+    2 lead from p to the previous and next point on the side, and along the chord."""
     at = (0, 2, 3)
     unit, H = np.empty((3, 3)), np.empty((3, 3, 3, 3))
     sides, chords = np.empty((2, 3)), np.empty((2, 3))  # gradients of both angles by their vectors
-    for k in range(len(active)):
-        if not active[k]:
-            continue
+    for k in range(len(r)):
         p = points[k, 1]
         a = _unit(X, x, p, points[k, 0], unit[0])
         b = _unit(X, x, p, points[k, 2], unit[1])
@@ -187,10 +185,10 @@ def add_curvature(X, x, points, coefficients, weighted, r, active, blocks):  # t
 
 
 @numba.njit(cache=True)
-def _square_slopes(coefficients, dr, active, blocks):  # type: ignore[no-untyped-def]
-    """Put ``2 mu grad(w r) grad(w r)^T`` into blocks (n, 4, 4, 3, 3) of active intersections."""
-    for k in range(len(active)):
-        for m in range(4 if active[k] else 0):
+def _square_slopes(coefficients, dr, blocks):  # type: ignore[no-untyped-def]
+    """Put ``2 mu grad(w r) grad(w r)^T`` into blocks (n, 4, 4, 3, 3)."""
+    for k in range(len(coefficients)):
+        for m in range(4):
             for n in range(4):
                 for i in range(3):
                     for j in range(3):
@@ -212,12 +210,10 @@ class FoldPenalty(ElementTerm):
     name = "penalty"
     exact_hessian = True
     of_cables = True
-    active: Booleans
 
     def __init__(self, table: FoldAngles) -> None:
         super().__init__(table)
         n = len(table.points)
-        self.active = np.ones(n, dtype=bool)
         self.residuals, self._dr, self._last = np.zeros(n), np.zeros((n, 4, 3)), np.empty((n, 4, 3))
         """``w r`` at the last sums (rad)."""
         rows, cols = np.repeat(table.points, 4, axis=1), np.tile(table.points, 4)
@@ -251,16 +247,12 @@ class FoldPenalty(ElementTerm):
         """Add the second derivatives: Gauss-Newton stiffness and ``2 mu w r Hessian(w r)``."""
         t, blocks = self.table, self._slopes_squared()
         add_curvature(
-            self.unknowns.X, x, t.points, t.coefficients, t.weighted, self.residuals, self.active,
-            blocks,
-        )  # fmt: skip
+            self.unknowns.X, x, t.points, t.coefficients, t.weighted, self.residuals, blocks
+        )
         self.pattern.add(A)
 
     def _slopes_squared(self) -> Array:
         """Put the Gauss-Newton stiffness, (n, 4, 4, 3, 3), into the pattern's values."""
         blocks = self.pattern.values.reshape(-1, 4, 4, 3, 3)
-        _square_slopes(self.table.coefficients, self._dr, self.active, blocks)
+        _square_slopes(self.table.coefficients, self._dr, blocks)
         return blocks
-
-    def element_energies(self, sums: Array) -> Array:
-        return np.asarray(self.table.coefficients * self.residuals**2)

@@ -27,7 +27,7 @@ from crms_fenicsx.energy.terms.segments import (
 from crms_fenicsx.energy.terms.term import ElementTerm
 from crms_fenicsx.foundation.dofs.block_patterns import BlockSink, ElementPattern, SegmentPattern
 from crms_fenicsx.foundation.dofs.layout import ElementTable
-from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices, Integers
+from crms_fenicsx.foundation.runtime.arrays import Array, Indices, Integers
 
 
 @dataclass(frozen=True)
@@ -111,10 +111,10 @@ def _distinct_blocks(segments, side_pointers, side_segments, sides):  # type: ig
 
 @numba.njit(cache=True)
 def cell_forces(  # type: ignore[no-untyped-def]
-    lengths, pointers, side_segments, sides, maps, squares, areas, law, p, forces, out, energies,
+    lengths, pointers, side_segments, sides, maps, squares, areas, law, p, forces, out,
     orthotropic,
 ):  # fmt: skip
-    """Energy of all cells, and of each into `energies` (n,); forces of the segments (m,); strain,
+    """Energy of all cells; forces of the segments (m,); strain,
     stress and state into `out` (n, 7). `orthotropic` as in
     `energy.terms.compiled_laws.stress`."""
     forces[:] = 0.0
@@ -129,8 +129,7 @@ def cell_forces(  # type: ignore[no-untyped-def]
             for i in range(3):
                 e[i] += maps[c, i, k] * (r[k] * r[k] - squares[c, k])
         density, state = laws.stress(law[c], p[c], e, s, orthotropic)
-        energies[c] = areas[c] * density
-        energy += energies[c]
+        energy += areas[c] * density
         for k in range(3):
             force = 0.0
             for i in range(3):
@@ -147,8 +146,7 @@ def cell_forces(  # type: ignore[no-untyped-def]
 @numba.njit(cache=True)
 def _cell_stiffness(  # type: ignore[no-untyped-def]
     X, x, segments, eps, lengths, pointers, side_segments, sides, maps, areas, law, p, out, floor,
-    prestress, exact, element_pointers, element_blocks, offsets, values, tension, active,
-    orthotropic,
+    prestress, exact, element_pointers, element_blocks, offsets, values, tension, orthotropic,
 ):  # fmt: skip
     """Stiffness ``sum K_kl grad(r_k) grad(r_l)^T`` of each cell with sides r. K = 4 r_k r_l A
     (M^T C M)_kl, plus on the diagonal force / side if tensile, or always with `exact`. `tension`
@@ -160,8 +158,6 @@ def _cell_stiffness(  # type: ignore[no-untyped-def]
         most = max(most, element_pointers[c + 1] - element_pointers[c])
     B, KB = np.empty((most, 3, 3)), np.empty((most, 3, 3))
     for c in range(sides.shape[0]):
-        if not active[c]:
-            continue
         start = element_pointers[c]
         size = element_pointers[c + 1] - start
         own = element_blocks[start : start + size]
@@ -221,7 +217,6 @@ class FoldedMembraneEnergy(ElementTerm):
     exact_hessian = True
     of_cables = True
     stiffening: Stiffening
-    active: Booleans
 
     def __init__(self, table: FoldedCells, stiffening: Stiffening) -> None:
         super().__init__(table)
@@ -231,7 +226,6 @@ class FoldedMembraneEnergy(ElementTerm):
         self.lengths = np.zeros(len(table.segments))
         self.forces = np.zeros(len(table.segments))
         self._tension = np.zeros(len(table.segments))
-        self._energies, self.active = np.zeros(len(table.cells)), np.ones(len(table.cells), bool)
         self.results = np.zeros((len(table.cells), 7))
         """Strain (E11, E22, 2 E12), section forces (S11, S22, S12) and state of each cell."""
         self._orthotropic = laws.orthotropic_flag(table.laws)
@@ -247,7 +241,7 @@ class FoldedMembraneEnergy(ElementTerm):
         segment_lengths(self.unknowns.X, x, t.segments, t.eps, self.lengths)
         out[0] = cell_forces(
             self.lengths, t.side_pointers, t.side_segments, t.sides, self.maps, self.squares,
-            self.areas, t.laws, t.parameters, self.forces, self.results, self._energies,
+            self.areas, t.laws, t.parameters, self.forces, self.results,
             self._orthotropic,
         )  # fmt: skip
 
@@ -274,7 +268,7 @@ class FoldedMembraneEnergy(ElementTerm):
             X, x, t.segments, t.eps, self.lengths, t.side_pointers, t.side_segments, t.sides,
             self.maps, self.areas, t.laws, t.parameters, self.results, floor, prestress, exact,
             self._element_pointers, self._element_blocks, self.elements.offsets,
-            self.elements.values, self._tension, self.active, self._orthotropic,
+            self.elements.values, self._tension, self._orthotropic,
         )  # fmt: skip
         self.elements.add(A)
         segment_stiffness(X, x, t.segments, t.eps, self._tension, self.edges.values)
@@ -282,6 +276,3 @@ class FoldedMembraneEnergy(ElementTerm):
 
     def of_elements(self, table: FoldedCells, sums: Array) -> FoldedMembraneEnergy:
         return FoldedMembraneEnergy(table, self.stiffening)
-
-    def element_energies(self, sums: Array) -> Array:
-        return self._energies

@@ -18,7 +18,7 @@ from crms_fenicsx.energy.terms.pressure import volume_pattern
 from crms_fenicsx.energy.terms.term import ElementTerm
 from crms_fenicsx.foundation.dofs.block_patterns import BlockSink
 from crms_fenicsx.foundation.dofs.layout import ElementTable, Unknowns
-from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices, Integers
+from crms_fenicsx.foundation.runtime.arrays import Array, Indices, Integers
 
 
 @dataclass(frozen=True)
@@ -52,15 +52,14 @@ def _cross(a, b):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _volume(X, x, corners, weights, origin, volumes):  # type: ignore[no-untyped-def]
-    """Volume under all facets, and under each into `volumes` (n,)."""
+def _volume(X, x, corners, weights, origin):  # type: ignore[no-untyped-def]
+    """Volume under all facets."""
     total = 0.0
     for f in range(corners.shape[0]):
         a = _place(X, x, corners[f, 0], origin)
         b, c = _place(X, x, corners[f, 1], origin), _place(X, x, corners[f, 2], origin)
         n = _cross(b, c)
-        volumes[f] = weights[f] / 6.0 * (a[0] * n[0] + a[1] * n[1] + a[2] * n[2])
-        total += volumes[f]
+        total += weights[f] / 6.0 * (a[0] * n[0] + a[1] * n[1] + a[2] * n[2])
     return total
 
 
@@ -77,13 +76,13 @@ def _add_volume_gradient(X, x, corners, weights, origin, factor, g):  # type: ig
 
 
 @numba.njit(cache=True)
-def _volume_hessian(X, x, corners, weights, origin, factor, active, values):  # type: ignore[no-untyped-def]
-    """Put second derivatives of ``factor x volume`` of active facets into `values` (3 n, 3, 3) of a
+def _volume_hessian(X, x, corners, weights, origin, factor, values):  # type: ignore[no-untyped-def]
+    """Put second derivatives of ``factor x volume`` of facets into `values` (3 n, 3, 3) of a
     `volume_pattern`."""
     p = np.empty(3)
-    for f in range(len(active)):
+    for f in range(len(corners)):
         scale = factor * weights[f] / 6.0
-        for m in range(3 if active[f] else 0):
+        for m in range(3):
             # the derivative by corners m + 1 and m + 2 is the cross product with corner m
             for i in range(3):
                 p[i] = scale * (X[corners[f, m], i] - origin[i] + x[corners[f, m], i])
@@ -98,27 +97,24 @@ class FoldedFollowerPressure(ElementTerm):
     name = "pressure"
     exact_hessian = True
     of_cables = True
-    active: Booleans
 
     def __init__(self, table: Facets, pressure: fem.Constant, origin: Array) -> None:
         super().__init__(table)
         self.pressure, self.origin = pressure, origin
         self.pattern = volume_pattern(table.corners)
         self.patterns = (self.pattern,)
-        self._volumes, self.active = np.zeros(len(table.corners)), np.ones(len(table.corners), bool)
 
     def attach(self, unknowns: Unknowns) -> None:
         super().attach(unknowns)
         corners = self.table.plain_corners
         self._stress_free = _volume(
-            unknowns.X, np.zeros_like(unknowns.X), corners, np.ones(len(corners)), self.origin,
-            np.zeros(len(corners)),
-        )  # fmt: skip
+            unknowns.X, np.zeros_like(unknowns.X), corners, np.ones(len(corners)), self.origin
+        )
 
     def sums(self, x: Array, out: Array) -> None:
         """This rank's part of the volume gained (length cubed)."""
         t = self.table
-        volume = _volume(self.unknowns.X, x, t.corners, t.weights, self.origin, self._volumes)
+        volume = _volume(self.unknowns.X, x, t.corners, t.weights, self.origin)
         out[0] = volume - self._stress_free
 
     def energy(self, sums: Array) -> float:
@@ -132,16 +128,12 @@ class FoldedFollowerPressure(ElementTerm):
     def add_hessian(self, x: Array, sums: Array, A: BlockSink) -> None:
         t, factor = self.table, -float(self.pressure.value)
         _volume_hessian(
-            self.unknowns.X, x, t.corners, t.weights, self.origin, factor, self.active,
-            self.pattern.values,
-        )  # fmt: skip
+            self.unknowns.X, x, t.corners, t.weights, self.origin, factor, self.pattern.values
+        )
         self.pattern.add(A)
 
     def of_elements(self, table: Facets, sums: Array) -> FoldedFollowerPressure:
         return FoldedFollowerPressure(table, self.pressure, self.origin)
-
-    def element_energies(self, sums: Array) -> Array:
-        return -float(self.pressure.value) * self._volumes
 
 
 class FoldedWind(FoldedFollowerPressure):

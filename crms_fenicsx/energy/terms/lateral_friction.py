@@ -51,15 +51,6 @@ def friction_energy(slip, bound, eps, force):  # type: ignore[no-untyped-def]
     return energy
 
 
-@numba.njit(cache=True)
-def friction_potentials(slip, bound, eps):  # type: ignore[no-untyped-def]
-    """Potential of each node, (n,) (force x length)."""
-    potentials = np.empty(slip.shape[0])
-    for k in range(slip.shape[0]):
-        potentials[k] = _potential(abs(slip[k]) / eps[k], bound[k], eps[k])
-    return potentials
-
-
 def coulomb_forces(slip: Array, bound: Array, eps: Array) -> Array:
     """Friction force of each node, (n,) (force)."""
     y = np.minimum(np.abs(slip) / eps, 1.0)
@@ -133,6 +124,3 @@ class LateralFriction(EdgePointTerm):
         """See `secant_stiffness`; if `exact`, nodes that slide beyond eps have none."""
         t, law = self.table, tangent_stiffness if exact else secant_stiffness
         return law(self.slips, t.bound, t.eps) * t.slope**2
-
-    def element_energies(self, sums: Array) -> Array:
-        return friction_potentials(self.slips, self.table.bound, self.table.eps)

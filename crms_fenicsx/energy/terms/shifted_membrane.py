@@ -41,7 +41,7 @@ from crms_fenicsx.energy.terms.term import ElementTerm
 from crms_fenicsx.foundation.dofs.block_patterns import BlockSink, ElementPattern
 from crms_fenicsx.foundation.dofs.layout import ElementTable
 from crms_fenicsx.foundation.meshes.triangles import cell_sides
-from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices
+from crms_fenicsx.foundation.runtime.arrays import Array, Indices
 from crms_fenicsx.model.tolerances import UNSTRAINED
 
 if TYPE_CHECKING:
@@ -138,9 +138,9 @@ def _shift(x, block):  # type: ignore[no-untyped-def]
 @numba.njit(cache=True)
 def _evaluate(  # type: ignore[no-untyped-def]
     X, x, corners, shifts, sides, axes, rest, weights, residual, own_areas, law, p, areas, slopes,
-    images, densities, out, forces, energies, orthotropic,
+    images, densities, out, forces, orthotropic,
 ):  # fmt: skip
-    """Energy of all cells, and of each into `energies` (n,); areas A (n,), gradients n_c `slopes`
+    """Energy of all cells; areas A (n,), gradients n_c `slopes`
     (n, 3, 2), columns of F `images` (n, 2, 3), phi `densities` (n,), strain, stress and state `out`
     (n, 7), section forces with the residual ones `forces` (n, 3). For a cell without a positive
     stress-free area the energy is NaN, which no line search accepts, as it does infinity if it
@@ -159,8 +159,7 @@ def _evaluate(  # type: ignore[no-untyped-def]
         f10, f11, f20, f21 = side[0, 0] + h10, side[0, 1] + h11, side[1, 0] + h20, side[1, 1] + h21
         D = f10 * f21 - f11 * f20
         if not D > 0.0:
-            energies[c] = np.nan
-            energy += energies[c]
+            energy = np.nan
             areas[c] = densities[c] = 0.0
             n[:], images[c], out[c], forces[c] = 0.0, 0.0, 0.0, 0.0
             continue
@@ -186,8 +185,7 @@ def _evaluate(  # type: ignore[no-untyped-def]
         moved = _dot(weight, _plus(_plus(x[i], x[j]), x[k])) / 3  # q . u'
         shifted = _dot(weight, _plus(_plus(w0, w1), w2)) / 3
         areas[c], densities[c] = 0.5 * D, density - (moved - shifted)
-        energies[c] = areas[c] * densities[c] + own_areas[c] * moved
-        energy += energies[c]
+        energy += areas[c] * densities[c] + own_areas[c] * moved
         for q in range(3):
             out[c, q], out[c, 3 + q] = e[q], s[q]
             forces[c, q] = s[q] + residual[c, q]
@@ -249,15 +247,13 @@ def _put(out, size, i, j, U, V, h00, h01, h10, h11, level):  # type: ignore[no-u
 @numba.njit(cache=True)
 def _cell_stiffness(  # type: ignore[no-untyped-def]
     shifts, axes, weights, law, p, areas, slopes, images, densities, results, forces, floor,
-    prestress, exact, offsets, values, active, orthotropic,
+    prestress, exact, offsets, values, orthotropic,
 ):  # fmt: skip
-    """Second derivatives of each active cell if `exact`, else their semidefinite part, with the
+    """Second derivatives of each cell if `exact`, else their semidefinite part, with the
     tensile parts of the section forces only, plus `prestress` in all directions, which holds the
     stress-free places, too: in an unstressed cell they could move with the corners at will."""
     C, b, slots = np.empty((3, 3)), np.empty((3, 2)), np.empty(3, np.int64)
     for c in range(len(shifts)):
-        if not active[c]:
-            continue
         size = 3
         for k in range(3):
             slots[k] = size if shifts[c, k] >= 0 else 0
@@ -339,16 +335,14 @@ class ShiftedMembraneEnergy(ElementTerm):
     exact_hessian = True
     of_cables = True
     stiffening: Stiffening
-    active: Booleans
 
     def __init__(self, table: ShiftedCells, stiffening: Stiffening) -> None:
         super().__init__(table)
         self.stiffening = stiffening
         n = len(table.cells)
         self._own_areas, self._rest = table.areas, table.rest
-        self._areas, self._densities, self._energies = np.zeros((3, n))
+        self._areas, self._densities = np.zeros((2, n))
         self._slopes, self._images = np.zeros((n, 3, 2)), np.zeros((n, 2, 3))
-        self.active = np.ones(n, dtype=bool)
         self.forces, self.results = np.zeros((n, 3)), np.zeros((n, 7))
         """Strain (E11, E22, 2 E12), section forces (S11, S22, S12) and state of each cell by its
         law; `forces` have the residual ones, too."""
@@ -369,8 +363,7 @@ class ShiftedMembraneEnergy(ElementTerm):
         out[0] = _evaluate(
             self.unknowns.X, x, t.corners, t.shifts, t.sides, t.axes, self._rest, t.weights,
             t.residual, self._own_areas, t.laws, t.parameters, self._areas, self._slopes,
-            self._images, self._densities, self.results, self.forces, self._energies,
-            self._orthotropic,
+            self._images, self._densities, self.results, self.forces, self._orthotropic,
         )  # fmt: skip
 
     def cell_results(self) -> Array:
@@ -398,12 +391,9 @@ class ShiftedMembraneEnergy(ElementTerm):
         _cell_stiffness(
             t.shifts, t.axes, t.weights, t.laws, t.parameters, self._areas, self._slopes,
             self._images, self._densities, self.results, self.forces, floor, prestress, exact,
-            self.elements.offsets, self.elements.values, self.active, self._orthotropic,
+            self.elements.offsets, self.elements.values, self._orthotropic,
         )  # fmt: skip
         self.elements.add(A)
 
     def of_elements(self, table: ShiftedCells, sums: Array) -> ShiftedMembraneEnergy:
         return ShiftedMembraneEnergy(table, self.stiffening)
-
-    def element_energies(self, sums: Array) -> Array:
-        return self._energies

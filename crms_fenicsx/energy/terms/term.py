@@ -13,10 +13,10 @@ from mpi4py import MPI
 
 from crms_fenicsx.energy.terms.integral import FusedAssembly, Integral
 from crms_fenicsx.energy.terms.kinematics import Stiffening
-from crms_fenicsx.foundation.dofs.block_patterns import BlockPattern, BlockSink, ColumnPattern
+from crms_fenicsx.foundation.dofs.block_patterns import BlockPattern, BlockSink
 from crms_fenicsx.foundation.dofs.layout import ElementTable, Unknowns
 from crms_fenicsx.foundation.runtime import checks
-from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices, Integers
+from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices
 from crms_fenicsx.foundation.runtime.errors import InputError, raised_together
 
 
@@ -75,17 +75,12 @@ class EnergyTerm(ABC):
         its forces are the energy's gradient; `Solver.tangent` names the terms for which this is
         False.
     links : (n, 2)
-        Pairs of cable points that it couples most; linked points are relaxed together.
+        Pairs of blocks that it couples most; linked ones are relaxed together.
     section_forces : (n, 3, 3)
         Second Piola-Kirchhoff section forces of this rank's cells in addition to the materials',
         tensors in space (force per length), which results include; None without any.
     patterns
         Block positions of its stiffness, see `foundation.dofs.block_patterns`; from `attach` on.
-    active : (n,)
-        Elements whose stiffness is wanted, if a term can leave out others, whose blocks are then
-        meaningless.
-    columns
-        Pattern of the dyads' columns of a term that was `split`; None without dyads.
     elementwise
         Provides `elements_on` and `of_elements` by loops over few cells, for terms assembled by
         DOLFINx forms; None if there is none.
@@ -122,8 +117,6 @@ class EnergyTerm(ABC):
     links: Indices | None = None
     section_forces: Array | None = None
     patterns: Sequence[BlockPattern] = ()
-    columns: ColumnPattern | None = None
-    active: Booleans | None = None
     elementwise: ElementwiseTerms | None = None
     unknowns: Unknowns
 
@@ -206,25 +199,6 @@ class EnergyTerm(ABC):
         """
         assert self.elementwise is not None, f"{type(self).__name__} is not made of elements"
         return self.elementwise.of_elements(table)
-
-    def dyad_columns(self, x: Array, sums: Array, exact: bool) -> None:
-        """Put the dyads of a term that was `split` into its `columns`; `exact` as in `dyads`."""
-
-    def element_energies(self, sums: Array) -> Array:
-        """Energies of the elements at the last `sums`, (n,) (force x length)."""
-        raise NotImplementedError(f"{type(self).__name__} is not made of elements")
-
-    def split(self, groups: Integers, comm: MPI.Intracomm) -> EnergyTerm:
-        """Split a term made by `of_elements` into independent groups of blocks. Collective.
-
-        Parameters
-        ----------
-        groups : (n_local,)
-            Group with which each block moves, or -1. No element joins two groups.
-        comm
-            Processes, each with its own groups.
-        """
-        return self
 
     def begin_step(self, x: Array) -> None:
         """Mark the current state as the start of a load step."""

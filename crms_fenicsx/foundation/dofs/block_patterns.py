@@ -130,17 +130,6 @@ def _pairs(pointers, blocks, size):  # type: ignore[no-untyped-def]
     return rows, cols
 
 
-class ColumnPattern:
-    """Columns c of dyads c c^T, with nonzero entries at fixed blocks.
-
-    Attributes: `values` (n, 3): entries of c. Shapes: columns, blocks (n,).
-    """
-
-    def __init__(self, columns: Integers, blocks: Indices) -> None:
-        self.columns, self.blocks = columns, blocks
-        self.values: Array = np.zeros((len(blocks), 3))
-
-
 Places = tuple[Indices, Array, Indices, Indices]
 """Of a pattern: indices of its values, weights, positions in the matrix, row strides there."""
 

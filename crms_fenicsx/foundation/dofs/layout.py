@@ -253,16 +253,11 @@ class Unknowns(LocalBlocks):
 
 
 class GhostFlags:
-    """Exchange of flags (n_local,) of a layout's blocks. All methods are collective.
-
-    Attributes: `shared` (n_local,): whether several ranks know a block.
-    """
+    """Exchange of flags (n_local,) of a layout's blocks. All methods are collective."""
 
     def __init__(self, unknowns: Unknowns) -> None:
         self._unknowns = unknowns
         self._vector, self._values = unknowns.vector()
-        ghosts = np.arange(unknowns.n_local) >= unknowns.n_owned
-        self.shared = self.on_any(ghosts)
 
     def destroy(self) -> None:
         self._vector.destroy()

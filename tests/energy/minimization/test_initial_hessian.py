@@ -199,7 +199,7 @@ def test_multigrid_solves_too_and_leaves_alone_what_is_held(comm, monkeypatch, m
 @pytest.mark.ranks
 def test_multigrid_leads_to_the_same_equilibrium(comm, multigrid, monkeypatch) -> None:
     """By the same H0: the second derivatives, which may be indefinite, are for factorisations."""
-    use(monkeypatch, exact=0.0, slow=np.inf)
+    use(monkeypatch, exact=0.0)
     database = PETSc.Options("crms_h0_")
     database["pc_type"] = "cholesky"
     solver, cables = cabled(comm)

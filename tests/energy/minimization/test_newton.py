@@ -1,129 +1,41 @@
-"""Newton's method: when it takes the second derivatives, and relaxation after a full step; and the
-paper's plain quasi-Newton method (2.7), by the option ``-crms_h0 false``."""
+"""Newton's method where stages are slow, and the paper's plain quasi-Newton method (2.7), by the
+option ``-crms_h0 false``."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from types import SimpleNamespace
-from typing import Any, cast
+from dataclasses import replace
 
+import numpy as np
 import pytest
-from cabled_square import advanced, clamped, sheet, square
+from cabled_square import advanced, clamped, square
 from mpi4py import MPI
 from petsc4py import PETSc
+from term_scene import cable_square, displaced
 
 from crms_fenicsx import Cable, Solver
-from crms_fenicsx.energy.minimization.newton import NewtonMethod
+from crms_fenicsx.energy.minimization.minimizer import Minimizer
 from crms_fenicsx.energy.minimization.strategy import STRATEGY
 
 
-class Relaxation:
-    """Relaxes to the given energies, one after another."""
-
-    has_points = True
-
-    def __init__(self, energies: list[float]) -> None:
-        self.energies, self.count = energies, 0
-
-    def relax_points(self, tolerance: float) -> bool:
-        """Take the next energy, if there is one."""
-        self.count += 1
-        return self.count <= len(self.energies)
-
-
-def method(energies: list[float] | None = None) -> tuple[NewtonMethod, Relaxation]:
-    """A method on such energies, and what relaxes."""
-    relaxation = Relaxation(energies or [])
-    potential = SimpleNamespace(energy=lambda: relaxation.energies[relaxation.count - 1])
-    arguments = cast(tuple[Any, Any, Any], (potential, SimpleNamespace(), relaxation))
-    return NewtonMethod(*arguments, STRATEGY), relaxation
-
-
-def test_second_derivatives_come_early_where_steps_make_little_progress() -> None:
-    """And only until such a step fails or is shortened."""
-    own, _ = method()
-    found = []
-    for residual in (0.15, 0.08, 0.07, 0.06, 0.05):  # the third and the fifth after a slow step
-        assert own.is_quick(residual, 1.0)
-        found.append(own.wants_exact(residual, 1.0))
-    assert found == [False, False, True, False, True]
-    own._tries_early = False
-    assert not any(own.wants_exact(residual, 1.0) for residual in (0.049, 0.048, 0.047))
-    assert own.wants_exact(0.9 * STRATEGY.exact, 1.0)
-
-
-def test_second_derivatives_come_back_where_h0_stalls() -> None:
-    """After two failures they are given up, and tried again when H0 does no better."""
-    own, _ = method()
-    assert own.is_quick(0.1, 1.0)
-    own._failed = 2
-    assert not own.is_quick(0.1, 1.0)
-    assert not own.wants_exact(1e-3, 1.0)
-    own.take_over(0.1, 0.1, 1.0)
-    for count in range(STRATEGY.newton_stages):
-        assert not own.trusts_exact, count
-        own.check_progress(0.09)
-    assert own.trusts_exact
-    assert own.wants_exact(1e-3, 1.0)
-    own._failed += 1  # one failure suffices now
-    assert not own.is_quick(0.1, 1.0)
-    assert not own.trusts_exact
-
-
-@pytest.mark.parametrize(
-    ("part", "energies", "count", "change"),
-    [
-        (1.0, [5.0, 2.0, -1.0, -9.0], 3, -1.0),  # until the energy has fallen
-        (1.0, [5.0, 4.9, 1.0], 2, 4.9),  # until that gains less than a tenth
-        (1.0, [0.8**k for k in range(20)], STRATEGY.full_rounds, 0.8 ** (STRATEGY.full_rounds - 1)),
-        (1.0, [5.0], 2, 5.0),  # until the points are balanced
-        (0.5, [5.0, 2.0, -1.0], 1, 5.0),
-    ],
-)
-def test_points_are_relaxed_on_after_full_steps(
-    part: float, energies: list[float], count: int, change: float
-) -> None:
-    """As long as that lowers the energy towards what the step must reach."""
-    own, relaxation = method(energies)
-    assert own._relax(10.0, 0.0, -0.5, part) == pytest.approx(change)
-    assert relaxation.count == count
-
-
-@pytest.mark.parametrize("crossing", [False, True])
-def test_outcomes_count_newton_steps(
-    comm: MPI.Intracomm, crossing: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Over all minimisations of a load step, among its iterations."""
-    made, step = [], NewtonMethod.step
-
-    def counted(own: NewtonMethod, *arguments: Any) -> bool:
-        made.append(own)
-        return step(own, *arguments)
-
-    monkeypatch.setattr(NewtonMethod, "step", counted)
-    scene = sheet(comm, 10)
-    if crossing:
-        scene.lay_cable(Cable(EA=32000.0), [(0.0, 34.0), (100.0, 34.0)], L0=100.0)
-        scene.lay_cable(Cable(EA=32000.0), [(43.0, 0.0), (43.0, 100.0)], L0=100.0)
-    outcome = Solver(scene).advance(pressure=0.01).outcome
-    assert outcome.newton_steps == len(made)
-    assert (0 < outcome.newton_steps < outcome.iterations) == crossing
-    assert (outcome.solves > 1) == crossing
-
-
 @pytest.mark.ranks
-def test_cables_along_mesh_lines_need_no_newton_steps(comm: MPI.Intracomm) -> None:
-    """They have no points to relax: quasi-Newton stages take fewer factorisations."""
-    outcomes = []
-    for y, x in ((34.0, 43.0), (30.0, 40.0)):  # across the cells, and along their edges
-        scene = sheet(comm, 10)
-        scene.lay_cable(Cable(EA=32000.0), [(0.0, y), (100.0, y)], L0=100.0)
-        scene.lay_cable(Cable(EA=32000.0), [(x, 0.0), (x, 100.0)], L0=100.0)
-        solver = advanced(Solver(scene, slide=False), pressure=0.01)
-        outcomes.append(solver.advance(pressure=0.03).outcome)
-    folded, rows = outcomes
-    assert folded.newton_steps > 0 == rows.newton_steps == rows.local_steps
-    assert rows.factorizations < folded.factorizations
+def test_newton_steps_lead_to_the_same_state(comm: MPI.Intracomm) -> None:
+    """They count among the iterations."""
+    strategies = STRATEGY, replace(STRATEGY, patience=1, stubborn=0.0, stage_lengths=(3,))
+    outcomes, states = [], []
+    for strategy in strategies:
+        system = cable_square(comm)
+        potential, n = system.potential, system.unknowns.n_owned
+        shake = displaced(system.unknowns, 0.3, stretch=1.03)
+        potential.x[:n] += shake * ~system.unknowns.held[:n]
+        potential.place()
+        minimizer = Minimizer(potential, strategy=strategy)
+        outcomes.append(minimizer.solve())
+        states.append(potential.x[:n].copy())
+        minimizer.destroy()
+    assert all(outcome.converged for outcome in outcomes)
+    assert 0 == outcomes[0].newton_steps < outcomes[1].newton_steps < outcomes[1].iterations
+    np.testing.assert_allclose(states[1], states[0], atol=1e-6)
 
 
 @pytest.fixture

@@ -1,14 +1,16 @@
-"""Local relaxation on several ranks: as on one, wherever the elements of a cluster are."""
+"""Relaxation on several ranks: as on one, wherever the elements of a patch are."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from cabled_square import advanced, sheet
 from mpi4py import MPI
 from taylor import noise
-from term_scene import cable_square, displaced
+from term_scene import cable_square
 
-from crms_fenicsx.energy.minimization.relaxation import LocalRelaxation
+from crms_fenicsx import Cable, Friction, Solver
+from crms_fenicsx.energy.minimization.relaxation import Relaxation
 from crms_fenicsx.energy.minimization.strategy import STRATEGY
 
 pytestmark = [pytest.mark.usefixtures("comm"), pytest.mark.ranks]
@@ -41,14 +43,6 @@ def by_key(potential):
     return rows[np.lexsort(rows.T[:4])]
 
 
-def far_out_of_balance(system, _):
-    """Displacements far out of balance everywhere."""
-    shake = displaced(system.unknowns, 0.5, stretch=1.03)
-    shake[: system.unknowns.n_vertices] *= 0.2
-    n = system.unknowns.n_owned
-    return system.potential.x[:n] + shake * ~system.unknowns.held[:n]
-
-
 def out_of_balance_in_the_middle(system, solved):
     """Displacements in balance but for what is in the middle."""
     places = {tuple(row[:4]): row[4:] for row in solved}
@@ -67,25 +61,52 @@ def solved():
 
 
 @pytest.mark.parametrize("ranks", [None, scattered, sectors], ids=["default", "any", "sectors"])
-@pytest.mark.parametrize("kind", ["points", "patch"])
-def test_relaxed_state_is_that_of_one_rank(comm, solved, ranks, kind):
+def test_relaxed_state_is_that_of_one_rank(comm, solved, ranks):
     # three rings would be all of this small mesh
-    strategy = replace(STRATEGY, patch_rings=1, most_relaxed=1.0 if kind == "patch" else 0.5)
+    strategy = replace(STRATEGY, patch_rings=1, most_relaxed=1.0)
     states, steps = [], []
     for processes, division in ((MPI.COMM_SELF, None), (comm, ranks)):
         system = cable_square(processes, ranks=division)
         potential = system.potential
-        shaken = far_out_of_balance if kind == "points" else out_of_balance_in_the_middle
-        potential.x[: system.unknowns.n_owned] = shaken(system, solved)
+        n = system.unknowns.n_owned
+        potential.x[:n] = out_of_balance_in_the_middle(system, solved)
         potential.place()
-        potential.evaluate()
-        before, local = by_key(potential), LocalRelaxation(potential, strategy)
-        assert local.relax_points(0.0) if kind == "points" else local.relax_patch(10.0)
+        energy = potential.evaluate()
+        before, relaxation = by_key(potential), Relaxation(potential, strategy)
+        assert relaxation.relax(10.0)
+        assert potential.energy() < energy
         states.append(by_key(potential))
-        steps.append(local.steps)
-        local.destroy()
+        steps.append(relaxation.steps)
+        relaxation.destroy()
     moved = np.abs(states[0] - before).max(axis=1) > 1e-3
-    assert moved[states[0][:, 0] == 0.0].any() == (kind == "patch")
-    assert np.count_nonzero(moved) > 4
+    assert moved[states[0][:, 0] == 0.0].any() and moved[states[0][:, 0] == 1.0].any()
+    assert 4 < np.count_nonzero(moved) < len(moved)
     np.testing.assert_allclose(states[1], states[0], atol=1e-9)
     assert steps[0] == steps[1] > 0
+
+
+@pytest.mark.parametrize("limit", ["most_relaxed", "largest_patch"])
+def test_large_patches_are_left_to_the_solve(comm, solved, limit):
+    system = cable_square(comm)
+    potential, n = system.potential, system.unknowns.n_owned
+    potential.x[:n] = out_of_balance_in_the_middle(system, solved)
+    potential.place()
+    potential.evaluate()
+    before = potential.x.copy()
+    relaxation = Relaxation(potential, replace(STRATEGY, patch_rings=1, **{limit: 0}))
+    assert not relaxation.relax(10.0)
+    np.testing.assert_array_equal(potential.x, before)
+    assert relaxation.steps == 0
+    relaxation.destroy()
+
+
+def test_friction_along_one_cable_leaves_the_others_relaxed(comm):
+    """Forces of terms without elements are held meanwhile."""
+    steps = []
+    for friction in (0.0, Friction(0.0, along=0.05)):
+        scene = sheet(comm, 20)
+        solver = advanced(Solver(scene, verify=False), pressure=0.01)
+        for y, mu in ((33.0, 0.0), (64.0, friction)):
+            scene.lay_cable(Cable(EA=32000.0, friction=mu), [(-10.0, y, 0.0), (110.0, y + 5, 0.0)])
+        steps.append(solver.advance(pressure=0.02).outcome.local_steps)
+    assert min(steps) > 0

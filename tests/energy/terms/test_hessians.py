@@ -69,7 +69,7 @@ def test_curvature_of_a_kink_by_differences(weighted):
         twin = np.array([(slope(e) - slope(-e)) / (2 * h) for e in units])
         f.value(0 * X)
         r, blocks = f.term.residuals, np.zeros((1, 4, 4, 3, 3))
-        add_curvature(X, 0 * X, table.points, table.coefficients, weighted, r, r == r, blocks)
+        add_curvature(X, 0 * X, table.points, table.coefficients, weighted, r, blocks)
         made = blocks[0].transpose(0, 2, 1, 3).reshape(12, 12) / (6.0 * r[0])
         np.testing.assert_allclose(made, twin, atol=1e-7 * np.abs(twin).max())
 

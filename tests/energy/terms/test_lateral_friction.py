@@ -16,7 +16,6 @@ from crms_fenicsx.energy.terms.lateral_friction import (
     LateralFriction,
     Slips,
     friction_energy,
-    friction_potentials,
 )
 from crms_fenicsx.energy.terms.paper.cable_elements import FrictionElementEnergy, FrictionElements
 from crms_fenicsx.energy.terms.segments import edge_fractions
@@ -56,7 +55,6 @@ def test_all_nodes_add_up():
     energy = friction_energy(s, F, eps, force)
     twins = np.array([potential(*row) for row in zip(s, F, eps, strict=True)])
     assert energy == pytest.approx(twins[:, 0].sum(), rel=1e-14)
-    np.testing.assert_allclose(friction_potentials(s, F, eps), twins[:, 0], rtol=1e-14)
     np.testing.assert_allclose(force, twins[:, 1], rtol=1e-12)
 
 
@@ -361,7 +359,6 @@ def test_some_paper_elements():
     np.testing.assert_array_equal(some.blocks, table.blocks[1:2])
     f = TermOnPoints(term.of_elements(some, np.zeros(1)), X)
     assert f.value(0 * X)[0] == pytest.approx(potential(-0.5, 1.0, 0.1)[0], rel=1e-12)
-    assert f.term.element_energies(np.zeros(1)) == pytest.approx(f.value(0 * X)[0], rel=1e-14)
     assert term.elements_on(np.zeros(9, dtype=bool)) is None
 
 

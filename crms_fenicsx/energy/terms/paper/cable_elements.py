@@ -24,7 +24,6 @@ import numpy.typing as npt
 from crms_fenicsx.energy.terms.cable_tension import CableTension
 from crms_fenicsx.energy.terms.lateral_friction import (
     friction_energy,
-    friction_potentials,
     secant_stiffness,
     tangent_stiffness,
 )
@@ -88,9 +87,6 @@ class FrictionElementEnergy(ElementTerm):
         slip_stiffness(pointers, blocks, slopes, stiffness, self.pattern.values)
         self.pattern.add(A)
 
-    def element_energies(self, sums: Array) -> Array:
-        return friction_potentials(self.slips, self.table.bound, self.table.eps)
-
 
 @numba.njit(cache=True)
 def _find_slips(X, x, blocks, slopes, offset, slips):  # type: ignore[no-untyped-def]
@@ -153,7 +149,7 @@ class StepCableTension(CableTension):
         return np.where(self._stepwise, grown, super().energies(lengths))
 
     def elements_on(self, chosen: Booleans) -> None:
-        """Return none: blocks are not relaxed alone with a law that has a history."""
+        """Return none: nothing is relaxed alone with a law that has a history."""
         return None
 
     def commit(self, x: Array, sums: Array) -> None:

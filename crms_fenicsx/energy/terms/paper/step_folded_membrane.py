@@ -164,7 +164,7 @@ class StepFoldedMembraneEnergy(FoldedMembraneEnergy):
         self.sums(x, np.zeros(1))
 
     def elements_on(self, chosen: Booleans) -> None:
-        """Return none: blocks are not relaxed alone with a law that has a history."""
+        """Return none: nothing is relaxed alone with a law that has a history."""
         return None
 
     def commit(self, x: Array, sums: Array) -> None:
