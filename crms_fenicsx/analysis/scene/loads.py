@@ -33,10 +33,8 @@ from crms_fenicsx.model.membrane_load import (
     wind_load,
 )
 from crms_fenicsx.model.sealed_air import SealedAir
+from crms_fenicsx.model.strengths import SETTINGS
 from crms_fenicsx.model.versions import Versions, changes_model
-
-AIR = ("pressure", "temperature", "atmosphere")
-"""Names of the air's quantities in combinations and `Solver.advance`, hence no names of loads."""
 
 
 @dataclass(frozen=True)
@@ -355,9 +353,10 @@ class Loads(Stateful[LoadsState]):
     def _check_new(self, call: str, name: str) -> None:
         """Refuse a name that is taken, and a shape that is not finite. Collective."""
         self.membrane.check_finite(call)
-        if name in AIR:
+        if name in SETTINGS:
             raise InputError(
-                f"{call}: name = {name!r} belongs to the air; use another name, such as 'snow'."
+                f"{call}: name = {name!r} means another thing in combinations; use another name, "
+                "such as 'snow'."
             )
         if name in self.factors:
             raise InputError(

@@ -45,7 +45,7 @@ from crms_fenicsx.results.checkpoint.codec import Plain, decode, encode
 STATE = "state.json"
 POSITIONS = "positions"
 """File name of the stress-free vertices of the mesh as given."""
-FORMAT = "crms_fenicsx checkpoint 13"
+FORMAT = "crms_fenicsx checkpoint 14"
 """Format mark of a checkpoint; its number grows with each change of the content."""
 
 
@@ -130,7 +130,10 @@ class _SceneStorage:
         if kind is not SceneState:
             return {}
         scene = self.scene
-        return {"terms": scene.terms, "version": scene.versions.current, "scene": scene}
+        return {
+            "terms": scene.terms, "version": scene.versions.current, "scene": scene,
+            "case": scene.case,
+        }  # fmt: skip
 
     def write(self, path: str, rows: Rows, values: np.ndarray[Any, Any]) -> Plain:
         """Write a distributed array; return its digest and number of rows. Collective."""

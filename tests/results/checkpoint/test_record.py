@@ -211,7 +211,10 @@ CALLS: dict[str, tuple[Callable[..., Scene], dict[str, Any]]] = {
     "Bar, in compression": (
         lambda **new: mast(**{"strength": 8.0, "curve": 0.5} | new), {"curve": 0.6}
     ),
-    "Bar": (mast, {"EA": 101.0, "tension_only": True, "EI": 5.0, "strength": 9.0}),
+    "Bar": (mast, {
+        "EA": 101.0, "tension_only": True, "EI": 5.0, "strength": 9.0, "gamma_M": 1.1,
+        "buckling_length": 3.0,
+    }),
     "lay_cable": (laid, {
         "cable": Cable(51.0), "path": [(0, 3.3), (10, 4.3)], "L0": 9.9, "tension": 2.0,
         "hold": "sleeve", "layer": 1, "name": "A",
@@ -295,7 +298,7 @@ ELSEWHERE = {"Scene": {"mesh"}, "add_bar": {"bar"}}
 """Arguments that other rows, or other tests, change."""
 NO_CHANGE = {
     "bar", "cable", "joint", "load", "in_equilibrium", "positions", "record", "require_equilibrium",
-    "strength_factor", "vertex_at", "vertices", "set_strengths", "unseal",
+    "set_limits", "vertex_at", "vertices", "set_strengths", "unseal",
 }  # fmt: skip
 """Methods of a scene that do not change its equilibrium, and one without arguments."""
 
