@@ -237,6 +237,15 @@ def scenes(scene: Scene, other: Scene, solver: Solver, cable: LaidCable) -> list
             {"force": (*NO_VECTORS, None, *fields)},
         ),
         Call(
+            "put_cable_load",
+            scene.put_cable_load,
+            {"force": UP, "cables": [cable]},
+            {
+                "force": (3.0, "x", [1.0], (0.0, 0.0, NAN)), "cables": (3, "x", [], ["x"]),
+                "name": ("", 3), "unknown": (1,),
+            },
+        ),
+        Call(
             "put_line_load",
             scene.put_line_load,
             {"force": UP, "edges": "left"},

@@ -195,6 +195,7 @@ class Scene:
     put_wind = of_part("loads", Loads.put_wind)
     put_forces = of_part("loads", Loads.put_forces)
     put_line_load = of_part("loads", Loads.put_line_load)
+    put_cable_load = of_part("loads", Loads.put_cable_load)
     put_joint_load = of_part("loads", Loads.put_joint_load)
     put_pond = of_part("loads", Loads.put_pond)
     load = of_part("loads", Loads.load)

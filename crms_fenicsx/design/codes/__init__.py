@@ -17,6 +17,7 @@ from crms_fenicsx.design.codes.snow import (
     CylindricalSnow,
     DriftedSnow,
     DuopitchSnow,
+    MultispanSnow,
     PitchedSnow,
     snow_load,
     snow_on_pitch,
@@ -25,17 +26,21 @@ from crms_fenicsx.design.codes.steel import steel_bar
 from crms_fenicsx.design.codes.wind import (
     ArchWind,
     CanopyWind,
+    TableWind,
     asce7_arch_zones,
     canopy,
     dome,
     en1991_vault_zones,
+    peak_pressure,
     vault,
+    wind_table,
 )
 from crms_fenicsx.model.strengths import CableDesign, FabricDesign
 
 __all__ = [
-    "ArchWind", "CableDesign", "CanopyWind", "CombinationRules", "CylindricalSnow", "DriftedSnow",
-    "DuopitchSnow", "FabricDesign", "PitchedSnow", "asce7", "asce7_16", "asce7_22",
-    "asce7_arch_zones", "canopy", "combinations", "dome", "en1990", "en1991_vault_zones",
-    "snow_load", "snow_on_pitch", "steel_bar", "vault",
+    "ArchWind", "CableDesign", "CanopyWind", "CombinationRules", "CylindricalSnow",
+    "DriftedSnow", "DuopitchSnow", "FabricDesign", "MultispanSnow", "PitchedSnow", "TableWind",
+    "asce7", "asce7_16", "asce7_22", "asce7_arch_zones", "canopy", "combinations", "dome",
+    "en1990", "en1991_vault_zones", "peak_pressure", "snow_load", "snow_on_pitch", "steel_bar",
+    "vault", "wind_table",
 ]  # fmt: skip

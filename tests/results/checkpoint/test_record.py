@@ -95,6 +95,12 @@ def mast(**bar: Any) -> Scene:
     return scene
 
 
+def roped(cables: str = "a", **given: Any) -> Scene:
+    scene = crossed()
+    laid = [scene.cable(name) for name in cables]
+    return after(scene, "put_cable_load", **{"force": (0, 0, 1.0), "cables": laid} | given)
+
+
 def after(scene: Scene, call: str, *arguments: Any, **given: Any) -> Scene:
     """The scene after a call of one of its methods."""
     getattr(scene, call)(*arguments, **given)
@@ -266,6 +272,7 @@ CALLS: dict[str, tuple[Callable[..., Scene], dict[str, Any]]] = {
         ),
         {"force": (0, 0, 2.0), "edges": "right", "name": "parapet"},
     ),
+    "put_cable_load": (roped, {"force": (0, 0, 2.0), "cables": "ab", "name": "ice"}),
     "put_joint_load": (joint_load, {"forces": 2.0, "name": "sign"}),
     "put_pond": (
         ponded, {"weight": 11.0, "level": -1.1, "volume": 0.5, "on": ["front"], "name": "lake"}
