@@ -17,7 +17,12 @@ from crms_fenicsx.analysis.equilibrium.system import System
 from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.analysis.scene.state import SceneState
 from crms_fenicsx.analysis.steps.increment_solver import IncrementSolver, Options
-from crms_fenicsx.analysis.steps.load_cases import Combination, check_combinations, split
+from crms_fenicsx.analysis.steps.load_cases import (
+    Combination,
+    check_combinations,
+    checked_states,
+    combined,
+)
 from crms_fenicsx.analysis.steps.loading import checked_target
 from crms_fenicsx.analysis.steps.movements import Move
 from crms_fenicsx.analysis.steps.snap_through import SnapThroughSearch
@@ -66,7 +71,7 @@ if TYPE_CHECKING:
     from crms_fenicsx.results.rain import PondingCheck
     from crms_fenicsx.results.reactions import Reactions, Residual, Tangent
     from crms_fenicsx.results.sensitivities import Sensitivities
-    from crms_fenicsx.results.summary import Summary
+    from crms_fenicsx.results.summary import DesignTable, Summary
 
 
 logger = logging.getLogger("crms_fenicsx")
@@ -454,7 +459,11 @@ class Solver:
         combinations
             By name of combination, the factors of its loads by name, and "pressure", "temperature"
             and "atmosphere" if they change, as in `Solver.advance`. Other loads stay: an empty
-            combination is the base state.
+            combination is the base state. Further names: "state", the limit state that it is for:
+            "ULS" (the default), "accidental", "erection" ..., or for serviceability
+            "characteristic", "frequent", "quasi-permanent"; "prestress", a partial factor of the
+            fabric's prestress, the forces that cables and bars have now, and the pressure;
+            "without", names of cables and bars that are missing.
         steps
             Number of increments of each combination.
 
@@ -466,8 +475,10 @@ class Solver:
         Raises
         ------
         InputError
-            On all ranks, before anything is computed: an unknown load, a factor that is not finite,
-            or an invalid number of steps.
+            On all ranks, before anything is computed: an unknown load, limit state, cable or bar,
+            a factor that is not finite, a combination without its design strength
+            (`codes.FabricDesign`), a prestress that cannot be scaled, or an invalid number of
+            steps.
         ConvergenceError
             A combination has no equilibrium; the message names it.
 
@@ -476,21 +487,13 @@ class Solver:
         >>> found = solver.combine({
         ...     "snow": {"weight": 1.35, "snow": 1.5},
         ...     "storm": {"weight": 1.0, "wind along x": 1.5, "pressure": 0.6},
+        ...     "calm": {"weight": 1.0, "state": "quasi-permanent"},
+        ...     "ridge torn": {"weight": 1.0, "state": "accidental", "without": ["ridge"]},
         ... })
-        >>> max(found, key=lambda name: found[name].snapshot.tensions["ridge"])
+        >>> max(("snow", "storm"), key=lambda name: found[name].snapshot.tensions["ridge"])
         """
         check_combinations(self.scene, combinations)
-        found = dict[str, Combination]()
-        for name, given in checks.in_one_order(self.scene.comm, combinations).items():
-            air, factors = split(given)
-            with self.branch(name) as start:
-                base = next((one.base for one in found.values()), start)  # equal, so kept once
-                try:
-                    step = self.advance(load=factors, steps=steps, **air)
-                except ConvergenceError as error:
-                    raise ConvergenceError(f"combination {name!r}: {error}") from None
-                found[name] = Combination(name, step, self.snapshot(), base)
-        return found
+        return combined(self, combinations, steps)
 
     @collective
     def check_ponding(self, rain: Positive, *, weight: Positive = 10.0) -> PondingCheck:
@@ -675,6 +678,38 @@ class Solver:
         from crms_fenicsx.results.summary import summary
 
         return summary(self.system)
+
+    @collective
+    def judge(self, combinations: PerRank[Mapping[str, Combination]]) -> DesignTable:
+        """Judge combinations by strengths and limits: what governs in each limit state. Collective.
+
+        The scene's own state is restored.
+
+        Parameters
+        ----------
+        combinations
+            Result of `combine`.
+
+        Returns
+        -------
+        DesignTable
+            The same on all ranks; ``print`` shows it.
+
+        Raises
+        ------
+        InputError
+            On all ranks: no combinations, or those of another scene.
+
+        Examples
+        --------
+        >>> scene.set_strengths((84.0, 80.0), cables=50.0)
+        >>> table = solver.judge(solver.combine({"full": {}, "half": {"pressure": 0.5}}))
+        >>> [(name, check.what, check.member) for _, name, check in table.rows]
+        [('full', 'fabric', ''), ('full', 'cable', 'ridge')]
+        """
+        from crms_fenicsx.results.summary import judged
+
+        return judged(self, checked_states("judge", self.scene, combinations))
 
     @collective
     def estimate_error(self) -> ErrorEstimate:

@@ -22,6 +22,7 @@ from crms_fenicsx.foundation.meshes.triangles import WALL, cell_normals, double_
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Rows
 from crms_fenicsx.foundation.runtime.errors import InputError, as_text, raised_together
+from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.membrane import Membrane
 
 Traction = Sequence[float] | Array | Callable[[Array, Array], Array]
@@ -195,6 +196,38 @@ def line_load(
     np.add.at(nodal, ends, (lengths[:, None] / 2 * vector)[:, None])
     total = membrane.comm.allreduce(float(lengths.sum()))
     return MembraneLoad(name, nodal, total * float(norm(vector)) / membrane.size**2)
+
+
+def cable_load(
+    membrane: Membrane, cables: Sequence[LaidCable], force: Array, name: str
+) -> MembraneLoad:
+    """A load of fixed direction (3,) along cables as they lie now (force per length), on the fabric
+    and joints where they touch it; half of the length between two contacts acts at each.
+    Collective."""
+    nodal = np.zeros(membrane.held.shape)
+    own = membrane.V.dofmap.index_map.size_local
+    home = {int(v): k for k, v in enumerate(membrane.vertex_ids[:own])}
+    joints: dict[str, tuple[float, float, float]] = {}
+    total = 0.0
+    for cable in cables:
+        nodes = cable.contacts()
+        steps = norm(np.diff(cable.state.positions[nodes], axis=0))
+        way = np.concatenate([[0.0], np.cumsum(steps)])
+        ends = {nodes[0]: 0, nodes[-1]: 1}
+        known = [k for k, node in enumerate(nodes)
+                 if cable.state.nodes[node].point is not None or node in ends]  # fmt: skip
+        halves = np.diff(way[known]) / 2
+        total += float(way[-1])
+        for k, length in zip(known, np.append(halves, 0.0) + np.append(0.0, halves), strict=True):
+            node, part = nodes[k], length * force
+            if cable.state.nodes[node].point is not None:
+                for vertex, weight in zip(*cable.interpolation(node), strict=True):
+                    if vertex in home:
+                        nodal[home[vertex]] += weight * part
+            elif (joint := cable.state.laid.joints[ends[node]]) is not None:
+                x, y, z = (part + joints.get(joint, (0.0, 0.0, 0.0))).tolist()
+                joints[joint] = x, y, z
+    return MembraneLoad(name, nodal, total * float(norm(force)) / membrane.size**2, joints=joints)
 
 
 def _coefficients(coefficient: Coefficient, membrane: Membrane, shape: _Shape) -> Array:

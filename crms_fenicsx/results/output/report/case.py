@@ -13,6 +13,7 @@ from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.analysis.verification.report import Verification
 from crms_fenicsx.foundation.meshes.triangles import double_areas, norm
 from crms_fenicsx.foundation.runtime.arrays import Array
+from crms_fenicsx.model.strengths import SERVICE
 from crms_fenicsx.results.foundations import Foundations, foundations
 from crms_fenicsx.results.membrane_results import MembraneResults, membrane_results
 from crms_fenicsx.results.output.report.page import Figure, Verdict, number, per_cent, place
@@ -155,8 +156,11 @@ def _excess(case: Case, limit: float, strengths: Mapping[str, float]) -> Iterato
     strain = case.summary.membrane.largest["strain 1"].value
     if strain > limit:
         yield f"the membrane is strained to {per_cent(strain)}, limit {per_cent(limit)}."
+    for check in case.summary.checks:
+        if not check.passed and check.what in ("deflection", "prestress", "slope", "ponding"):
+            yield f"{check!r}."
     for name, cable in case.summary.cables.items():
-        if cable.largest > strengths.get(name, math.inf):
+        if cable.largest > strengths.get(name, math.inf) and case.summary.state not in SERVICE:
             share = cable.largest / strengths[name]
             yield f"the cable {name} is loaded to {per_cent(share)} of its strength."
     for name, bar in case.summary.bars.items():

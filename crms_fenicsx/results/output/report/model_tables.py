@@ -51,7 +51,7 @@ def model_of_scene(scene: Scene, units: Units, cable_strengths: Mapping[str, flo
     low, high = box(scene.comm, scene.membrane.stress_free)
     extents = [b - a for a, b in zip(low, high, strict=True)]
     strengths: list[Row] = [
-        (part_name(part), *pair) for part, pair in scene.membrane.strengths.items()
+        (part_name(part), *one.strength) for part, one in scene.membrane.strengths.items()
     ]
     listed: dict[str, tuple[str, str, list[Row]]] = {
         "mesh": ("Mesh and theory", "Property|Value", _mesh(scene, areas, extents, units)),

@@ -62,6 +62,8 @@ def with_pictures(
     dpi = int(np.clip(SHARPEST * math.sqrt(20 / count), 70, SHARPEST))
     pictures = []
     for colour in colours:  # one colour bar per picture, to leave room for the shape
+        if colour == "utilisation" and not case.summary.design:
+            continue  # strengths do not judge it
         fabric = None if colour == TENSION else colour
         forces = label_of(colour)[1] == "stress"
         options |= {
@@ -136,8 +138,11 @@ def _limits(every: Sequence[Case], colour: str) -> tuple[float, float] | None:
     name, parts = QUANTITY_OF.get(colour), [case.summary.membrane for case in every]
     if name not in SUMMED_UP:
         return None
-    low = min(part.least[name].value for part in parts if name in part.least)
-    high = max(part.largest[name].value for part in parts if name in part.largest)
+    known = [part for part in parts if name in part.least]
+    if not known:
+        return None
+    low = min(part.least[name].value for part in known)
+    high = max(part.largest[name].value for part in known)
     low = 0.0 if low > -1e-9 * high else low
     return (low, max(high, 0.0)) if low < high else None
 

@@ -19,6 +19,7 @@ from crms_fenicsx.analysis.steps.load_cases import (
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.errors import InputError, raised_together
 from crms_fenicsx.foundation.runtime.files import absolute, make_writable, replaced
+from crms_fenicsx.model.strengths import LIMIT_STATES
 from crms_fenicsx.model.versions import UNBALANCED
 from crms_fenicsx.results.cable_order import Order
 from crms_fenicsx.results.output.figures.axes3d import check_view
@@ -59,10 +60,15 @@ def checked_plan(comm: MPI.Intracomm, scene: Scene, filename: str | Path, **opti
     for text in (text for pair in plan.about.items() for text in pair):
         checks.of_type(f"report: {text!r} in about", text, str)
     checks.collection("report: cable_strengths", plan.cable_strengths, Mapping, '{"ridge": 120.0}')
-    strengths = {
-        scene.cable(name).name: checks.positive(f"report: strength of the cable {name!r}", value)
-        for name, value in plan.cable_strengths.items()
-    }
+    designed = {x.name: scene.design.of_cable(x.name, LIMIT_STATES[0]) for x in scene.cables}
+    strengths = {name: value for name, value in designed.items() if value is not None}
+    for name, value in plan.cable_strengths.items():
+        if scene.cable(name).name in strengths:
+            raise InputError(
+                f"report: cable_strengths of {name!r}, whose strength scene.set_strengths has "
+                "already; leave it out."
+            )
+        strengths[name] = checks.positive(f"report: strength of the cable {name!r}", value)
     further = plan.sections
     if not isinstance(further, Sequence) or not all(isinstance(x, PageSection) for x in further):
         raise InputError(

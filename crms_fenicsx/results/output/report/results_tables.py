@@ -10,6 +10,7 @@ from typing import Any
 from crms_fenicsx.model.strengths import ALL
 from crms_fenicsx.model.versions import UNBALANCED
 from crms_fenicsx.results.cable_and_bar_results import BarResults
+from crms_fenicsx.results.design_checks import Extreme
 from crms_fenicsx.results.output.report.case import Case
 from crms_fenicsx.results.output.report.page import (
     Cell,
@@ -21,7 +22,7 @@ from crms_fenicsx.results.output.report.page import (
     place,
 )
 from crms_fenicsx.results.quantities import QUANTITIES, SUMMED_UP
-from crms_fenicsx.results.summary import ALL_SUPPORTS, Extreme
+from crms_fenicsx.results.summary import ALL_SUPPORTS
 
 WHOLE = "whole membrane"
 BOTH = "supports, anchors and held joints"
@@ -71,7 +72,10 @@ class ResultTables:
     def factors(self, pressure: float, factors: Mapping[str, float]) -> Table:
         """Pressure and load factors of the cases and the base state."""
         every = [(case.name, case.summary.pressure, case.summary.factors) for case in self.cases]
-        divided = {case.name: case.summary.strength_factor for case in self.cases}
+        divided = {
+            case.name: max((one.divisor for one in case.summary.design.values()), default=1.0)
+            for case in self.cases
+        }
         reduced = any(x != 1.0 for x in divided.values())
         base = [one for one in every if one[1] == pressure and one[2] == factors]
         if not base:
@@ -162,8 +166,13 @@ class ResultTables:
     def envelope(self) -> Table:
         """Minima and maxima over all cases, with the governing case."""
         rows: list[Row] = []
-        for part, name, label, _, _ in self._extremes(self.cases[0]):
-            parts = [(case.name, case.summary.parts[part]) for case in self.cases]
+        every = {(part, name): label for case in self.cases
+                 for part, name, label, _, _ in self._extremes(case)}  # fmt: skip
+        for (part, name), label in every.items():
+            parts = [
+                (case.name, case.summary.parts[part])
+                for case in self.cases if name in case.summary.parts[part].least
+            ]  # fmt: skip
             least, low = min(((n, one.least[name]) for n, one in parts), key=_value)
             largest, high = max(((n, one.largest[name]) for n, one in parts), key=_value)
             at, scale = place(high.at, self.size), QUANTITIES[name].scale

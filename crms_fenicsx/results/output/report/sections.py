@@ -239,9 +239,8 @@ class Report:
                 cards.append((what, per_cent(found[name]) if unit is None else text, name))
 
         used = {name: one.largest.get("utilisation") for name, one in membranes.items()}
-        if None not in used.values():
-            shares = {name: one.value for name, one in used.items() if one is not None}
-            card("Largest utilisation of the membrane", None, shares)
+        shares = {name: one.value for name, one in used.items() if one is not None}
+        card("Largest utilisation of the membrane", None, shares)
         forces = {name: one.largest["true force 1"].value for name, one in membranes.items()}
         card("Largest principal section force", units["stress"].strip(" []"), forces)
         tensions = {
