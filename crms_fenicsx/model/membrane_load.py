@@ -7,8 +7,9 @@ on the new shape. The correction on folded cells is a separate term, `folded_pre
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import cached_property
 from typing import Annotated, Literal
 
@@ -52,6 +53,7 @@ class MembraneLoad:
     # (m, 3) force per stress-free area of this rank's cells, if that is its reference area
     material: Annotated[Array, Rows.CELLS, 3] | None = field(default=None, repr=False)
     at_vertices: bool = False  # whether it is of forces on vertices, not on areas or lines
+    basis: str = ""  # what its function says of itself: a dataclass its fields, others their text
 
     @property
     def is_active_wind(self) -> bool:
@@ -71,6 +73,16 @@ class MembraneLoad:
             return self
         loads = membrane.cell_areas[:, None] * self.material
         return replace(self, forces=_Shape(membrane).nodal(loads))
+
+
+def described(function: object) -> str:
+    """The first line of a function's docstring; of a dataclass's object that of the class, with
+    its fields."""
+    text = (inspect.getdoc(function) or "").partition("\n")[0] if callable(function) else ""
+    if not is_dataclass(function) or isinstance(function, type):
+        return text
+    values = [f"{one.name} = {getattr(function, one.name)}" for one in fields(function)]
+    return f"{text} {', '.join(values)}"
 
 
 class _Shape:
@@ -132,7 +144,7 @@ def fixed_direction_load(
         else:
             given = checks.vector("put_load: the force per area", given)[:, None]
         loads[:] = shape.counted(per)[:, None] * given.T
-    load = shape.load(name, loads)
+    load = replace(shape.load(name, loads), basis=described(traction))
     if per != "material":
         return load
     return replace(load, material=np.broadcast_to(given.T, loads.shape).copy())
@@ -146,7 +158,9 @@ def wind_load(
     suction = np.zeros(len(shape.areas))
     with raised_together(membrane.comm):
         suction[:] = -pressure * _coefficients(coefficient, membrane, shape)
-    return replace(shape.load(name, suction[:, None] * shape.vectors, suction), peak=pressure)
+    load = shape.load(name, suction[:, None] * shape.vectors, suction)
+    told = f"c_p = {coefficient:g}" if isinstance(coefficient, float | int) else ""
+    return replace(load, peak=pressure, basis=told or described(coefficient))
 
 
 def nodal_load(membrane: Membrane, forces: fem.Function, name: str = "forces") -> MembraneLoad:

@@ -31,7 +31,7 @@ from crms_fenicsx.results.cable_and_bar_results import (
 )
 from crms_fenicsx.results.hollows import Hollow, find_hollows
 from crms_fenicsx.results.membrane_results import MembraneResults, membrane_results
-from crms_fenicsx.results.quantities import SUMMED_UP, shown_briefly
+from crms_fenicsx.results.quantities import SUMMED_UP, as_counted, shown_briefly
 from crms_fenicsx.results.reactions import (
     HeldEnd,
     ends_at,
@@ -263,14 +263,17 @@ def summary(system: System) -> Summary:
         used = judged_utilisation(results, corners)
     parts = {ALL: _part(results, centres, used, None)}
     if len(results.parts) > 1:
-        parts |= {name: _part(results, centres, used, name) for name in sorted(results.parts)}
+        parts |= {
+            name: _part(results, centres, used, name)
+            for name in sorted(results.parts, key=as_counted)
+        }
     return Summary(
         scene.pressure,
         scene.factors,
         scene.energy,
-        _extreme(scene.comm, np.linalg.norm(moved, axis=1), places, largest=True),
-        _extreme(scene.comm, moved[:, 2], places, largest=False),
-        _extreme(scene.comm, moved[:, 2], places, largest=True),
+        extreme(scene.comm, np.linalg.norm(moved, axis=1), places, largest=True),
+        extreme(scene.comm, moved[:, 2], places, largest=False),
+        extreme(scene.comm, moved[:, 2], places, largest=True),
         parts,
         cable_results(scene),
         _supports(system),
@@ -315,8 +318,8 @@ def _part(
             places = results.surface.points[vertices].reshape(-1, 3)
             values = used.judged[cells].ravel()
         if comm.allreduce(int(np.isfinite(values).sum())):
-            least[one] = _extreme(comm, values, places, largest=False)
-            largest[one] = _extreme(comm, values, places, largest=True)
+            least[one] = extreme(comm, values, places, largest=False)
+            largest[one] = extreme(comm, values, places, largest=True)
     if used is not None and "utilisation" in largest:
         change = _change(results, used, cells, largest["utilisation"])
     area = comm.allreduce(float(results.stress_free_areas[cells].sum()))
@@ -347,7 +350,7 @@ def _centres(surface: CurrentSurface, n: int) -> Array:
     return np.asarray(corners[order[largest]].mean(axis=1))
 
 
-def _extreme(comm: MPI.Intracomm, values: Array, places: Array, *, largest: bool) -> Extreme:
+def extreme(comm: MPI.Intracomm, values: Array, places: Array, *, largest: bool) -> Extreme:
     """Largest or least value on all ranks, ties broken by the least place; NaN ignored."""
     sign = 1.0 if largest else -1.0
     own = (-np.inf, (0.0, 0.0, 0.0))

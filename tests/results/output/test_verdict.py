@@ -13,10 +13,12 @@ from mpi4py import MPI
 from crms_fenicsx import Bar, Cable, IsotropicMembrane, Solver
 from crms_fenicsx.analysis.verification.report import Check
 from crms_fenicsx.model.versions import StateWarning
-from crms_fenicsx.results.output.report.case import Case, case_of, shape_of, verdict_on
+from crms_fenicsx.results.output.report.case import Case, case_of, shape_of
 from crms_fenicsx.results.output.report.page import Table, Units, Verdict, number
 from crms_fenicsx.results.output.report.results_tables import ResultTables
 from crms_fenicsx.results.output.report.sections import with_codes
+from crms_fenicsx.results.output.report.verdict import governing, verdict_on
+from crms_fenicsx.results.output.report.verdict import judged as judged_in
 
 
 @pytest.fixture(scope="module")
@@ -60,14 +62,14 @@ def test_reasons_in_plain_words(case: Case) -> None:
         (replace(good, volume=-0.9), "turned inside out"),
         (replace(good, volume=0.3), "collapsed: 30.0 % of its inner volume"),
         (replace(good, volume=None, turned=0.2), "20.0 % of the membrane has turned over"),
-        (case, "the bar prop is loaded to"),
+        (case, "Bar in compression beyond the limit: prop"),
     ):
         assert words in reasons(changed)
     bars = {"prop": replace(case.summary.bars["prop"], utilisation=None)}
     unknown = replace(good, summary=replace(good.summary, bars=bars))
     assert "Buckling is not checked" in " ".join(judged([unknown]).reasons)
-    assert "limit 0.1 %" in reasons(good, strain=1e-3)
-    assert "the cable ridge is loaded to" in reasons(good, cables={"ridge": 0.1})
+    assert "Membrane, strain beyond the limit: whole membrane" in reasons(good, strain=1e-3)
+    assert "Cable tension beyond the limit: ridge" in reasons(good, cables={"ridge": 0.1})
 
 
 def test_rain_that_would_stand(case: Case) -> None:
@@ -142,3 +144,29 @@ def test_long_names_give_way_to_codes(case: Case) -> None:
     for cases in ([case, long], [long, case]):
         assert [one.name for one in with_codes(cases, factors)] == ["LC1", "LC2"]
     assert with_codes([case], factors) == [case]
+
+
+def test_reasons_are_grouped_by_limit_state_and_member(case: Case) -> None:
+    """One sentence for what is beyond its limit in many combinations, the worst first."""
+    ridge = case.summary.cables["ridge"]
+    cables = {f"A{k}": replace(ridge, name=f"A{k}", largest=1.0 * k) for k in range(1, 11)}
+
+    def loaded(name: str, state: str, factor: float) -> Case:
+        own = {k: replace(one, largest=factor * one.largest) for k, one in cables.items()}
+        summary = replace(case.summary, bars={}, hollows=(), cables=own)
+        return replace(case, name=name, state=state, summary=summary)
+
+    every = [loaded("LC1", "ULS", 1.0), loaded("LC2", "ULS", 1.2), loaded("LC3", "frequent", 9.0)]
+    strengths = dict.fromkeys(cables, 8.0)
+    verdict = judged(every, cables=strengths)
+    (sentence,) = (text for text in verdict.reasons if "Cable tension" in text)
+    assert sentence == (
+        "ULS: Cable tension, 4 of 10 beyond the limit: A10 150.0 % (LC2), A9 135.0 % (LC2), "
+        "A8 120.0 % (LC2), A7 105.0 % (LC2) of its strength."
+    )
+    rows = governing(judged_in(every, 0.1, strengths))
+    assert [(one.state, one.what, one.member) for one in rows] == [
+        ("ULS", "fabric", ""), ("ULS", "strain", ""), ("ULS", "cable", "A10"),
+        ("frequent", "strain", ""),
+    ]  # fmt: skip
+    assert rows[2].share == pytest.approx(1.5) and rows[2].case == "LC2"
