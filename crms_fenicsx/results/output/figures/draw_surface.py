@@ -226,8 +226,7 @@ def draw_shape(
         _paint_feet(axes3d, camera.project(feet), flat, tolerance)
     if how.strokes is not None and np.size(how.strokes):
         _paint_seen(axes3d, np.asarray(how.strokes), flat, tolerance, "white", 1.6)
-    if how.arrows is not None and np.size(how.arrows):
-        _paint_arrows(axes3d, camera.project(np.asarray(how.arrows)))
+    _paint_arrows(axes3d, how.arrows)
     clip = None if corners is None else (low - 1e-6 * size, high + 1e-6 * size)
     paint_lines(axes3d, lines, style, flat, tolerance, clip, how.show_names)
     return axes3d.finished(path, how.dpi)
@@ -380,8 +379,11 @@ def _paint_seen(
                   capstyle="round", zorder=2)  # fmt: skip
 
 
-def _paint_arrows(axes3d: Axes3D, arrows: Array) -> None:
-    """Paint projected arrows (k, 2, 3), tail and tip."""
+def _paint_arrows(axes3d: Axes3D, given: ArrayLike | None) -> None:
+    """Paint arrows (k, 2, 3), tail and tip."""
+    if given is None or not np.size(given):
+        return
+    arrows = axes3d.camera.project(np.asarray(given))
     tails, ways = arrows[:, 0, :2], (arrows[:, 1] - arrows[:, 0])[:, :2]
     axes3d.axes.quiver(
         *tails.T, *ways.T, angles="xy", scale_units="xy", scale=1.0, units="dots", width=1.6,

@@ -42,7 +42,7 @@ def draw_forces(plan: ForcePlan, unit: str, force: str, dpi: int, width: float =
     places: list[Array] = [plan.outline[..., :2].reshape(-1, 2), plan.rim[..., :2].reshape(-1, 2)]
     places += [at[None, :2] for at, _ in plan.points.values()]
     flats = np.concatenate(places)
-    air = ROOM + 0.2 if plan.most_per_length > 0.0 else ROOM
+    air = ROOM + 0.3 if plan.most_per_length > 0.0 else ROOM
     axes, size = _axes(flats, unit, width, air)
     centre = (flats.min(axis=0) + flats.max(axis=0)) / 2
     high = float(np.linalg.norm(plan.per_length, axis=2).max(initial=0.0))
@@ -91,7 +91,7 @@ def draw_forces(plan: ForcePlan, unit: str, force: str, dpi: int, width: float =
     if plan.most_per_length > 0.0:
         per = f"{force}/{unit}" if force and unit else ""
         text.append(f"largest force of the rim {plan.most_per_length:.4g} {per}".rstrip())
-    axes.set_title("; ".join(text), fontsize=8, color=INK)
+    axes.set_title("\n".join(text), fontsize=8, color=INK)
     return png_of(axes.figure, dpi)
 
 

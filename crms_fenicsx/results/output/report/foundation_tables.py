@@ -94,7 +94,11 @@ class FoundationTables:
     def governing(self) -> Table:
         """Forces and moments in those combinations in which a foundation's are largest."""
         every = self.forces()
-        of = {label: {*self._governing(found)} for label, found in self.points.items()}
+        of = dict[str, set[str]]()
+        for label, found in self.points.items():
+            up, down, *others = self._governing(found)
+            lift = {up} if found[up].force[2] > 0.0 else set()
+            of[label] = {*others, *lift, *({down} if found[down].force[2] < 0.0 else ())}
         rows = [row for row in every.rows if str(row[1]) in of[str(row[0])]]
         caption = "Forces on the foundations in their governing combinations"
         return replace(every, caption=caption, rows=rows, name="")
@@ -143,7 +147,8 @@ class FoundationTables:
             size, governs = max((math.hypot(*one), name) for name, one in own.items())
             lift, up = max((one[2], name) for name, one in own.items())
             rows.append((
-                *map(self.units.exact, triple(ends[k])), *clean(own[governs], size, NOTHING), size, governs, *((lift, up) if lift > NOTHING * size else (None, None)),
+                *map(self.units.exact, triple(ends[k])), *clean(own[governs], size, NOTHING),
+                size, governs, *((lift, up) if lift > NOTHING * size else (None, None)),
             ))  # fmt: skip
         columns = self.units.headings(
             "x{length}|y{length}|z{length}|fx{stress}|fy{stress}|fz{stress}|Size{stress}|Governs|"

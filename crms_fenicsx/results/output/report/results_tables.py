@@ -176,12 +176,14 @@ class ResultTables:
                 peak = f"may change by {per_cent(change)}"
             elif nodal is not None and most > 1.25 * max(nodal, 0.0):
                 peak = "single-cell peak"
+            least, largest = (least, largest) if len(self.cases) > 1 else ("", "")
             rows.append((part_name(part), label, small, least, most, largest, at, nodal, peak))
         columns = self.units.headings(
             "Part|Result|Least|Governs least|Largest|Governs largest|at x; y; z{length}"
             "|Largest, smoothed|Remark"
         )
-        table = Table("Envelope of the membrane", columns, rows, "envelope", headings=2)
+        caption = "Envelope of the membrane"
+        table = Table(caption, columns, rows, "envelope", headings=2, small=True)
         return _without_one_part(table)
 
     def cables(self) -> Table:

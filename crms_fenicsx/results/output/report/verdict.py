@@ -81,8 +81,9 @@ def _by_strength(case: Case, cables: Mapping[str, float]) -> Iterator[Judged]:
             yield Judged(case.state, "fabric", name, case.name, used.value)
     for name, cable in summary.cables.items():
         if name in cables:
-            share, limit = cable.largest / cables[name], cables[name]
-            yield Judged(case.state, "cable", name, case.name, share, cable.largest, limit, "force")
+            given = cables[name]
+            share = cable.largest / given
+            yield Judged(case.state, "cable", name, case.name, share, cable.largest, given, "force")
     for name, bar in summary.bars.items():
         if bar.utilisation is not None:
             what = "bar tension" if bar.force > 0.0 else "bar compression"
