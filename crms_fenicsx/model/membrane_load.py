@@ -8,6 +8,7 @@ on the new shape. The correction on folded cells is a separate term, `folded_pre
 from __future__ import annotations
 
 import inspect
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import cached_property
@@ -81,8 +82,10 @@ def described(function: object) -> str:
     text = (inspect.getdoc(function) or "").partition("\n")[0] if callable(function) else ""
     if not is_dataclass(function) or isinstance(function, type):
         return text
-    values = [f"{one.name} = {getattr(function, one.name)}" for one in fields(function)]
-    return f"{text} {', '.join(values)}"
+    given = {one.name: getattr(function, one.name) for one in fields(function)}
+    values = [f"{name} = {value}" for name, value in given.items() if not is_dataclass(value)]
+    told = f"{text} {', '.join(values)}".replace("`", "")
+    return re.sub(r"\d+\.\d+", lambda found: f"{float(found[0]):.4g}", told)
 
 
 class _Shape:

@@ -201,10 +201,10 @@ def draw_shape(
     held = np.zeros((0, 2, 3)) if how.held is None else np.asarray(how.held, dtype=np.float64)
     feet = np.zeros((0, 3)) if how.supports is None else np.asarray(how.supports, dtype=np.float64)
     feet = feet[np.all((feet >= low - 1e-6 * size) & (feet <= high + 1e-6 * size), axis=1)]
-    off_colour = style.off_colour if striped else CABLE
     legend = [
         (_FABRIC, note, "patch"), (NO_VALUE, without, "patch"), (CABLE, style.note, "line"),
-        (off_colour, striped, "stripes"), (INK, "held edge" if len(held) else "", "line"),
+        (style.off_colour if striped else CABLE, striped, "stripes"),
+        (INK, "held edge" if len(held) else "", "line"),
         (INK, "support" if len(feet) else "", "foot"),
     ]  # fmt: skip
     axes3d = Axes3D(camera, low, high, how.title, len(bars), how.width, legend)
@@ -224,8 +224,8 @@ def draw_shape(
     _paint_seen(axes3d, held, flat, _BEHIND * size, INK, 2.4)
     if len(feet):
         _paint_feet(axes3d, camera.project(feet), flat, tolerance)
-    if how.strokes is not None and np.size(how.strokes):
-        _paint_seen(axes3d, np.asarray(how.strokes), flat, tolerance, "white", 1.6)
+    strokes: Array = np.reshape(() if how.strokes is None else how.strokes, (-1, 2, 3))
+    _paint_seen(axes3d, strokes, flat, tolerance, "white", 1.6)
     _paint_arrows(axes3d, how.arrows)
     clip = None if corners is None else (low - 1e-6 * size, high + 1e-6 * size)
     paint_lines(axes3d, lines, style, flat, tolerance, clip, how.show_names)

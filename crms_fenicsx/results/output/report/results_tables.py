@@ -19,7 +19,7 @@ from crms_fenicsx.results.output.report.page import (
     per_cent,
     place,
 )
-from crms_fenicsx.results.quantities import QUANTITIES, SUMMED_UP, as_counted
+from crms_fenicsx.results.quantities import QUANTITIES, SUMMED_UP
 from crms_fenicsx.results.summary import ALL_SUPPORTS, Extreme
 
 BOTH = "supports, anchors and held joints"
@@ -45,7 +45,7 @@ class ResultTables:
     def names(self, kind: str) -> list[str]:
         """Names of the cables, bars ... of all cases; `kind` is a summary's attribute."""
         every = (name for case in self.cases for name in getattr(case.summary, kind))
-        return sorted(dict.fromkeys(every), key=as_counted)
+        return list(dict.fromkeys(every))
 
     def by_name(self, kind: str) -> Iterator[tuple[str, list[tuple[str, Any]]]]:
         """Name of each item of a kind, and (case, result) pairs."""
@@ -236,7 +236,7 @@ class ResultTables:
 
     def _matrix(self, caption: str, found: Mapping[str, Mapping[str, float]]) -> list[Table]:
         """Values by item and case, with a row for each case and up to `WIDE` items a table."""
-        names = sorted(found, key=as_counted)
+        names = list(found)
         tables = math.ceil(len(names) / WIDE)
         parts = [names[k * len(names) // tables : (k + 1) * len(names) // tables]
                  for k in range(tables)]  # fmt: skip
