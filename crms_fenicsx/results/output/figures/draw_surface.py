@@ -204,8 +204,7 @@ def draw_shape(
     legend = [
         (_FABRIC, note, "patch"), (NO_VALUE, without, "patch"), (CABLE, style.note, "line"),
         (style.off_colour if striped else CABLE, striped, "stripes"),
-        (INK, "held edge" if len(held) else "", "line"),
-        (INK, "support" if len(feet) else "", "foot"),
+        (INK, "held edge" * bool(len(held)), "line"), (INK, "support" * bool(len(feet)), "foot"),
     ]  # fmt: skip
     axes3d = Axes3D(camera, low, high, how.title, len(bars), how.width, legend)
     for place, (scale, text) in enumerate(bars):
