@@ -274,7 +274,8 @@ class Report:
         caption = "Governing verifications"
         if states == [""]:
             return Table(caption, columns[1:], [row[1:] for row in rows], "governing")
-        rows = [(row[0] or "base state", *row[1:]) for row in rows]
+        # the base state belongs to no limit state
+        rows = [(row[0] or "not named", *row[1:]) for row in rows if row[0] or row[-1] != "LC0"]
         return Table(caption, columns, rows, "governing", headings=2)
 
     def _basis(self) -> list[PageSection]:
