@@ -863,13 +863,14 @@ class Solver:
         self, filename: File,
         combinations: PerRank[Mapping[str, Combination] | None] = None, **options: Any,
     ) -> None:  # fmt: skip
-        """Write a report for the checking engineer: one HTML page, and CSV tables. Collective.
+        """Write a report for the checking engineer: HTML page, CSV tables, PDF. Collective.
 
-        The page has a verdict with its reasons, the model, loads and combinations, pictures,
-        section forces, utilisation and envelopes, cables, bars, ponds, foundation forces and the
-        checks of all equilibria. It needs no other files or network, is smaller than 5 MB, and
-        prints on A4. The tables lie beside ``tent.html``, as ``tent_membrane.csv``, with full
-        precision. Results belong to the combinations' states, with their model and base state;
+        The page has a verdict with its reasons, what governs in each limit state, lines for
+        signatures, the basis of design, materials, model, loads and combinations, section forces,
+        utilisation and envelopes, pictures of governing combinations, cables, bars, ponds,
+        foundation forces and the checks of all equilibria. It needs no other files or network, and
+        is smaller than 5 MB. The tables lie beside ``tent.html``, as ``tent_membrane.csv``, with
+        full precision. Results belong to the combinations' states, with their model and base state;
         strengths are the present ones. The scene's own state is restored. Without combinations the
         page warns in red if the scene has changed since its last load step. Ten or more bars whose
         names differ in a final number share rows on the page.
@@ -882,28 +883,30 @@ class Solver:
         combinations
             Result of `combine`; by default the current state alone.
         **options
-            ``title``: heading. ``about``: names and texts below it, as ``{"Project": "..."}``.
+            ``title``: heading. ``about``: names and texts below it; "Office", "Project", "Author",
+            "Checker", "Revision" and "Date" also in the PDF's head and signatures. ``basis``:
+            names and texts of the basis of design, as ``{"Codes": "EN 1990"}``.
             ``unit``, ``force``: names of the units of length and force. ``cable_strengths``:
             strengths of cables by name, divided by the partial factors (force), for their
             utilisation; the fabric's strengths are those of `Scene.set_strengths`. ``pictures``:
             membrane colours of each combination's pictures, as for `draw`, or "tension" of cables
-            and bars; by default tension, displacement, section forces and utilisation. Too large a
-            page omits the last ones. ``view``: viewpoint, as for `draw`. ``sections``: additional
-            ones, as of `design.patterns.report_sections`. ``order``: fabrication lengths of
-            cables, from `nets.lengths_to_order`. ``foundations``: ends of cables and joints on each
+            and bars; by default tension, displacement, section forces and utilisation. Of more than
+            12, those of governing combinations. Too large a page omits the last ones. ``view``:
+            viewpoint, as for `draw`. ``sections``: additional ones, as of
+            `design.patterns.report_sections`. ``order``: fabrication lengths of cables, from
+            `nets.lengths_to_order`. ``foundations``: ends of cables and joints on each
             foundation, as ``{"F1": ["A1 start", "mast foot"]}``; ends at the same place belong
             together. ``strain_limit``: of the membrane's larger principal strain, by default 0.1.
-            ``template``: a jinja2 file, which may extend "report.html". ``pdf``: whether to print
-            the page as PDF, with an installed browser or WeasyPrint, or that in the variable
-            CRMS_BROWSER. ``interactive``: whether to write a rotatable view of each combination, as
-            ``tent_view_1.html``, with pyvista and its trame.
+            ``template``: a jinja2 file, which may extend "report.html". ``pdf``: whether to write a
+            PDF too, with WeasyPrint. ``interactive``: whether to write a rotatable view of each
+            combination, as ``tent_view_1.html``, with pyvista and its trame.
 
         Raises
         ------
         InputError
             On all ranks, before anything is written: an invalid argument, a file that cannot be
-            written, no browser for PDF, or combinations of different models; the message names the
-            difference.
+            written, no WeasyPrint for PDF, an unfit template, or combinations of different models;
+            the message names the difference.
         ImportError
             On all ranks: pyvista or trame is missing for `interactive`.
 

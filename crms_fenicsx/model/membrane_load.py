@@ -7,8 +7,10 @@ on the new shape. The correction on folded cells is a separate term, `folded_pre
 
 from __future__ import annotations
 
+import inspect
+import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import cached_property
 from typing import Annotated, Literal
 
@@ -59,6 +61,7 @@ class MembraneLoad:
     # as put if they have moved since
     placed: Annotated[Array, Rows.VERTICES, 3] | None = field(default=None, repr=False)
     put: MembraneLoad | None = field(default=None, repr=False)
+    basis: str = ""  # what its function says of itself: a dataclass its fields, others their text
 
     @property
     def is_active_wind(self) -> bool:
@@ -85,6 +88,18 @@ class MembraneLoad:
         material = membrane.at_places(put.material, places)
         forces = _Shape(membrane).nodal(membrane.cell_areas[:, None] * material)
         return replace(self, forces=forces, material=material, put=put)
+
+
+def described(function: object) -> str:
+    """The first line of a function's docstring; of a dataclass's object that of the class, with
+    its fields."""
+    text = (inspect.getdoc(function) or "").partition("\n")[0] if callable(function) else ""
+    if not is_dataclass(function) or isinstance(function, type):
+        return text
+    given = {one.name: getattr(function, one.name) for one in fields(function)}
+    values = [f"{name} = {value}" for name, value in given.items() if not is_dataclass(value)]
+    told = f"{text} {', '.join(values)}".replace("`", "")
+    return re.sub(r"\d+\.\d+", lambda found: f"{float(found[0]):.4g}", told)
 
 
 class _Shape:
@@ -148,7 +163,8 @@ def fixed_direction_load(
             given = checks.vector("put_load: the force per area", given)[:, None]
         loads[:] = shape.counted(per)[:, None] * given.T
     by_area = loads / membrane.cell_areas[:, None]
-    return replace(shape.load(name, loads), material=by_area, weighs=per == "material")
+    load, weighs = shape.load(name, loads), per == "material"
+    return replace(load, material=by_area, weighs=weighs, basis=described(traction))
 
 
 def wind_load(
@@ -159,7 +175,9 @@ def wind_load(
     suction = np.zeros(len(shape.areas))
     with raised_together(membrane.comm):
         suction[:] = -pressure * _coefficients(coefficient, membrane, shape)
-    return replace(shape.load(name, suction[:, None] * shape.vectors, suction), peak=pressure)
+    load = shape.load(name, suction[:, None] * shape.vectors, suction)
+    told = f"c_p = {coefficient:g}" if isinstance(coefficient, float | int) else ""
+    return replace(load, peak=pressure, basis=told or described(coefficient))
 
 
 def nodal_load(membrane: Membrane, forces: fem.Function, name: str = "forces") -> MembraneLoad:

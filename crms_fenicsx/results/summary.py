@@ -33,7 +33,7 @@ from crms_fenicsx.results.cable_and_bar_results import (
 from crms_fenicsx.results.design_checks import DesignCheck, Extreme, checks_of, in_service
 from crms_fenicsx.results.hollows import Hollow, find_hollows
 from crms_fenicsx.results.membrane_results import MembraneResults, membrane_results
-from crms_fenicsx.results.quantities import SUMMED_UP, Solved, shown_briefly
+from crms_fenicsx.results.quantities import SUMMED_UP, Solved, as_counted, shown_briefly
 from crms_fenicsx.results.reactions import (
     HeldEnd,
     ends_at,
@@ -331,7 +331,7 @@ def summary(system: System) -> Summary:
     found, results = _without_checks(system)
     scene = system.scene
     extremes = {
-        key: _extreme(scene.comm, values, at, largest=key[0] == "deflection")
+        key: extreme(scene.comm, values, at, largest=key[0] == "deflection")
         for key, (values, at) in sorted(in_service(scene, results).items())
     }
     found = replace(found, deflection=extremes.get(("deflection", ALL)))
@@ -351,14 +351,17 @@ def _without_checks(system: System) -> tuple[Summary, MembraneResults]:
         used = judged_utilisation(results, corners)
     parts = {ALL: _part(results, centres, used, None)}
     if len(results.parts) > 1:
-        parts |= {name: _part(results, centres, used, name) for name in sorted(results.parts)}
+        parts |= {
+            name: _part(results, centres, used, name)
+            for name in sorted(results.parts, key=as_counted)
+        }
     found = Summary(
         scene.pressure,
         scene.factors,
         scene.energy,
-        _extreme(scene.comm, np.linalg.norm(moved, axis=1), places, largest=True),
-        _extreme(scene.comm, moved[:, 2], places, largest=False),
-        _extreme(scene.comm, moved[:, 2], places, largest=True),
+        extreme(scene.comm, np.linalg.norm(moved, axis=1), places, largest=True),
+        extreme(scene.comm, moved[:, 2], places, largest=False),
+        extreme(scene.comm, moved[:, 2], places, largest=True),
         parts,
         cable_results(scene),
         _supports(system),
@@ -405,8 +408,8 @@ def _part(
             places = results.surface.points[vertices].reshape(-1, 3)
             values = used.judged[cells].ravel()
         if comm.allreduce(int(np.isfinite(values).sum())):
-            least[one] = _extreme(comm, values, places, largest=False)
-            largest[one] = _extreme(comm, values, places, largest=True)
+            least[one] = extreme(comm, values, places, largest=False)
+            largest[one] = extreme(comm, values, places, largest=True)
     if used is not None and "utilisation" in largest:
         change = _change(results, used, cells, largest["utilisation"])
     area = comm.allreduce(float(results.stress_free_areas[cells].sum()))
@@ -437,7 +440,7 @@ def _centres(surface: CurrentSurface, n: int) -> Array:
     return np.asarray(corners[order[largest]].mean(axis=1))
 
 
-def _extreme(comm: MPI.Intracomm, values: Array, places: Array, *, largest: bool) -> Extreme:
+def extreme(comm: MPI.Intracomm, values: Array, places: Array, *, largest: bool) -> Extreme:
     """Largest or least value on all ranks, ties broken by the least place; NaN ignored."""
     sign = 1.0 if largest else -1.0
     own = (-np.inf, (0.0, 0.0, 0.0))

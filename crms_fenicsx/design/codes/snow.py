@@ -17,6 +17,7 @@ from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arguments import PlanDirection, PlanVector, Positive, checked
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.foundation.runtime.errors import InputError
+from crms_fenicsx.model.membrane_load import described
 
 FLAT, STEEP = 30.0, 60.0
 """Pitches (degrees) up to which all snow stays and from which none does, Table 5.2."""
@@ -430,4 +431,5 @@ def snow_load(
         mu = shape(x, n)
         return np.stack([0 * mu, 0 * mu, -load * mu])
 
+    force.__doc__ = f"s_k = {s_k:g}, C_e = {exposure:g}, C_t = {thermal:g}, mu: {described(shape)}"
     return force
