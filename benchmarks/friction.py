@@ -9,11 +9,15 @@ ways
     A cable on a rigid cylinder that is tightened by 1 % at smaller coefficients: its way over the
     exact one, least and largest of some meshes, in one load step and in six; in brackets the
     coefficient told from it, over mu (only for coefficients of three quarters of .2 and more).
+rows
+    Cables along a line of the mesh of a rigid sphere and cylinder: the coefficient at which half of
+    the vertices have used up their elastic slip, over the one that holds an exact cable; and ways
+    as above. Of some meshes with uneven rows, least and largest.
 drum
     A cable over a drum that is dragged obliquely, in the shape of Coulomb's cone, with the cone and
     with independent friction sideways and along: ratio of tensions, force sideways.
 
-    ./run python benchmarks/friction.py [rigid] [ways] [drum] [--meshes 8] [--sizes 20 40]
+    ./run python benchmarks/friction.py [rigid] [ways] [rows] [drum] [--meshes 8] [--sizes 20 40]
                                         [--half 1.0]
 
 From a slid cable follows the coefficient with which an exact cable would have slid as far,
@@ -35,6 +39,7 @@ from mpi4py import MPI
 
 from crms_fenicsx import ConvergenceError, Solver
 from crms_fenicsx.cabling.contact.contact_force import contact_forces
+from crms_fenicsx.cabling.friction.slip import node_slips
 from crms_fenicsx.energy.minimization.outcome import Outcome
 from crms_fenicsx.model.friction import Friction
 from crms_fenicsx.model.laid_cable import LaidCable
@@ -42,6 +47,7 @@ from crms_fenicsx.model.laid_cable import LaidCable
 sys.path.append(str(Path(__file__).parents[1] / "tests" / "scenes"))  # their surfaces
 sys.path.append(str(Path(__file__).parents[1] / "tests" / "cabling" / "friction"))  # and the drum
 from model_3 import say
+from rigid_rows import rigid_row
 from rigid_surfaces import SURFACES, Curve, Mesh, band, curve, rigid, sphere
 from test_cone import dragged, steady
 
@@ -137,6 +143,47 @@ def ways(sizes: Sequence[int], meshes: int) -> None:
             say(text)
 
 
+def held_row(way: Curve, h: float, seed: int) -> float:
+    """Where half of a row's vertices begin to slide, over where they should; to 2.5e-4."""
+    low, high = 0.97, 1.03
+    while high - low > 5e-4:
+        friction = Friction((low + high) / 2 * way.ratio, tolerance=1e-3)
+        scene, cable = rigid_row(COMM, way, friction, h, seed=seed)
+        Solver(scene).advance(L0={cable: cable.length * (1 - STRAIN)})
+        lateral, aside = cable.state.law.lateral, cable.cable.sideways
+        assert lateral is not None and aside is not None
+        slips = node_slips(cable, lateral.curve, scene.net.strip_shape())
+        used = np.abs(slips.slip) >= aside.tolerance * slips.size * (1 - 1e-9)
+        low, high = ((low + high) / 2, high) if used.mean() >= 0.5 else (low, (low + high) / 2)
+    return (low + high) / 2
+
+
+def rows(sizes: Sequence[int], meshes: int) -> None:
+    """Thresholds and ways of cables along lines."""
+    curves = {"cylinder": curve(SURFACES["cylinder"], 0.5, 0.8)}
+    for degrees in (10.0, 20.0):
+        phi = np.radians(degrees)
+        curves[f"sphere, {degrees:g} degrees"] = curve(sphere(phi), float(np.tan(phi)), 0.8)
+    say(f"\nthreshold of rows over the exact one, least and largest of {meshes} meshes")
+    for name, way in curves.items():
+        for n in sizes:
+            found = [held_row(way, 1 / n, seed) for seed in range(meshes)]
+            say(f"{name:22} R/{n:<5}{min(found):9.4f}{max(found):9.4f}")
+    way, coefficients = curve(SURFACES["cylinder"], 0.2, 1.0), (0.1, 0.13, 0.16, 0.19)
+    say(f"way of rows over the exact one, {meshes} meshes; mu:", *coefficients)
+    for n in sizes:
+        text = f"R/{n}"
+        for mu in coefficients:
+            end, found = way.slid(mu), []
+            for seed in range(meshes):
+                scene, cable = rigid_row(COMM, way, mu, 1 / n, seed=seed)
+                Solver(scene).advance(L0={cable: cable.length * (1 - STRAIN)})
+                found.append(way.sideways(cable.state.positions).mean())
+            found = np.array(found) / way.sideways(end.points).mean()
+            text += f"{found.min():10.3f}-{found.max():.3f}"
+        say(text)
+
+
 def drum(n: int, meshes: int) -> None:
     """Dragged in three directions over a drum of n cells around."""
     say(f"\ndrum of {n} cells, {meshes} meshes; least and largest of ln of the ratio of tensions, "
@@ -162,7 +209,7 @@ def drum(n: int, meshes: int) -> None:
 
 def main() -> None:
     """Print the sections asked for."""
-    sections = ("rigid", "ways", "drum")
+    sections = ("rigid", "ways", "rows", "drum")
     parser = argparse.ArgumentParser(description="Friction: see the head of this file.")
     parser.add_argument("sections", nargs="*", help=f"of {', '.join(sections)}; default all")
     parser.add_argument("--sizes", type=int, nargs="+", default=[20, 40], help="radii by cells")
@@ -176,6 +223,8 @@ def main() -> None:
         rigid_surfaces(given.sizes, given.meshes, given.half)
     if "ways" in wanted:
         ways(given.sizes, given.meshes)
+    if "rows" in wanted:
+        rows(given.sizes, given.meshes)
     if "drum" in wanted:
         for n in given.sizes:
             drum(n, given.meshes)

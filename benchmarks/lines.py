@@ -1,19 +1,35 @@
 """Cables along lines of the mesh: cost and results beside the bare roof and beside folded cables.
 
-    ./run python benchmarks/lines.py [square] [dome] [halls] [limits] [angles] [clamps]
-                                     [processes] [--repeats N] [--scale S]
+    ./run python benchmarks/lines.py [TABLE ...] [--repeats N] [--scale S]
+                                     [--roofs FIRST END] [--unknowns UNKNOWNS]
 
 square
     An inflated square with a cable at 30 % of its width that slides sideways: tension, energy
     and place on meshes of 10, 20 and 40 cells a side, and where they lead to.
+kratos
+    The square with a cable along a line in its middle, on the same mesh here and by Kratos, if
+    `benchmarks/kratos/install` has run: time of solving, tension.
 dome
     The cap of `demos/air_dome.py` with 28 cables along great circles, cut along them, with 16 000,
     40 000 and 119 000 unknowns: load steps to 0.3 and 0.5 kPa on one mesh without cables, with
     lines that are held and with lines that slide, and what cutting and laying take.
+cost
+    How the time of the dome's load steps grows from 5000 to 140 000 unknowns.
+folded
+    The dome's net across cells and along lines, with 20 000, 50 000 and 140 000 unknowns.
+mirrored
+    Tensions of mirrored cables of the dome's net, on a mesh that is cut, that embeds the lines, and
+    that is itself mirrored, with 50 000 unknowns.
+net
+    The net of `demos/cable_net.py`, calm and in the wind, on three meshes by both ways, where they
+    lead to, and factorisations of each round of the wind.
+roofs
+    Random roofs under nets, cut or embedded, inflated from 0.3 to 1.0 kPa, then in the wind: what
+    is refused or doubtful. Those from FIRST to END, 20 by default, with 5000 UNKNOWNS.
 halls
     Air halls of 36 m by 36 and by 54 with nets of diagonals, in operation and in a diagonal storm:
     cables that fold the cells of a mesh of their own, and cables along lines of a mesh with as many
-    unknowns; time, and tensions.
+    unknowns; time, tensions, and what these lead to on finer meshes.
 limits
     Four cables in pockets that are alike, on a dome: tensions on meshes of several sizes, cut along
     the cables, made with lines and with folded cells, and where they lead to.
@@ -43,13 +59,21 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
+from accuracy.cases import PRESSURE, Case
+from accuracy.cases import inflated as inflated_sheet
+from accuracy.kratos import Kratos, folder
+from lined import Result, limit, timed
+from lined.cable_net import SIZES as NET_SIZES
+from lined.cable_net import cable_net
+from lined.dome import CABLES, PRESSURES, cost, dome, folded, inflated, mirrored, net_on
+from lined.many_roofs import run
+from lined.strings import clamped
 from mpi4py import MPI
 from numpy.typing import NDArray
 from roofs import cap, covered, great_circles, suction
-from sweeps.strings import clamped
 
 from crms_fenicsx import (
     Cable,
@@ -69,30 +93,21 @@ from crms_fenicsx.foundation.meshes.triangles import shapes
 from crms_fenicsx.foundation.runtime.compat import geometry_dofmap
 
 COMM = MPI.COMM_WORLD
-CABLES = 14  # of a family
 CELLS = (10, 20, 40)  # a side of the square
-PRESSURES = (0.3, 0.5)
 UNKNOWNS = (16_000, 40_000, 119_000)
+FOLDED, MIRRORED = (14_000, 38_000, 119_000), 40_000
+BESIDE = (8, 32, 64)  # cells a side of the square that Kratos solves, too
 CALM, STORM, TIGHTENED = 0.3, 0.4, 0.99
-
-Result = TypeVar("Result")
-
-
-def timed(function: Callable[[], Result]) -> tuple[float, Result]:
-    """CPU seconds of a call, and its result."""
-    begin = time.process_time()
-    found = function()
-    return time.process_time() - begin, found
 
 
 # --- square ----------------------------------------------------------------------------------
 
 
-def sheet(cells: int) -> tuple[Scene, LaidCable]:
-    """A square of 100 m with cells beside a line at y = 30, and a cable along it."""
+def lined_square(cells: int, at: float) -> meshes.MembraneMesh:
+    """A square of 100 m with cells beside a line at y = `at`."""
     x = np.linspace(0.0, 100.0, cells + 1)
-    j = round(0.3 * cells)
-    y = np.interp(np.arange(cells + 1), [0, j, cells], [0.0, 30.0, 100.0])
+    j = round(at / 100.0 * cells)
+    y = np.interp(np.arange(cells + 1), [0, j, cells], [0.0, at, 100.0])
     points = np.array([(a, b, 0.0) for a in x for b in y])
     number = np.arange(len(points)).reshape(cells + 1, cells + 1)
     triangles = []
@@ -101,10 +116,33 @@ def sheet(cells: int) -> tuple[Scene, LaidCable]:
             p, q, r, s = number[a, b], number[a + 1, b], number[a + 1, b + 1], number[a, b + 1]
             triangles += [(p, q, r), (p, r, s)] if (a + b) % 2 == 0 else [(p, q, s), (q, r, s)]
     edges = np.stack([number[:-1, j], number[1:, j]], axis=1)
-    mesh = meshes.from_arrays(COMM, points, np.array(triangles), edges={"A1": edges})
-    scene = Scene(mesh, IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08))
+    return meshes.from_arrays(COMM, points, np.array(triangles), edges={"A1": edges})
+
+
+def sheet(cells: int, at: float = 30.0) -> tuple[Scene, LaidCable]:
+    """The square under a cable along the line."""
+    scene = Scene(lined_square(cells, at), IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08))
     scene.fix("boundary")
     return scene, scene.lay_cable(Cable(EA=32e3), along="A1", L0=100.0)
+
+
+def kratos(numbers: Sequence[int], repeats: int) -> None:
+    """The square with a cable in its middle on one mesh, solved here and by Kratos; medians."""
+    if not folder().exists():
+        print("\nthere is no Kratos: sh benchmarks/kratos/install", flush=True)
+        return
+    print(f"\n{'cells a side':14}{'s':>8}{'Kratos':>9}{'ratio':>8}{'T':>11}{'Kratos':>11}")
+    for cells in numbers:
+        case = Case("", "", lambda n: lined_square(n, 50.0), inflated_sheet, (cells,))
+        other, seconds, runs = Kratos(case, cells, 100.0), [], []
+        for _ in range(repeats):
+            scene, cable = sheet(cells, 50.0)
+            solver = Solver(scene, rtol=1e-9)
+            seconds.append(timed(lambda s=solver: s.advance(pressure=PRESSURE))[0])  # type: ignore[misc]
+            runs.append(other.run())
+        own, theirs = (statistics.median(x) for x in (seconds, [run["solving"] for run in runs]))
+        print(f"{cells:<14}{own:8.3f}{theirs:9.3f}{theirs / own:8.1f}{cable.tension:11.4f}"
+              f"{runs[0]['found']['T']:11.4f}", flush=True)  # fmt: skip
 
 
 def square(numbers: Sequence[int]) -> NDArray[np.float64]:
@@ -126,73 +164,6 @@ def square(numbers: Sequence[int]) -> NDArray[np.float64]:
     limit = (finer * np.array(rows[-1]) - np.array(rows[-2])) / (finer - 1)
     print(f"{'limit':34}{limit[0]:11.4f}{limit[1]:11.4f}{limit[2]:10.5f}", flush=True)
     return np.array([*rows, limit])
-
-
-# --- dome ------------------------------------------------------------------------------------
-
-
-def net_on(mesh: meshes.MembraneMesh) -> nets.Net:
-    """The dome's net."""
-    lines = great_circles(CABLES)
-    families = [[line for name, line in lines.items() if name[0] == one] for one in "AB"]
-    return nets.from_paths(covered(mesh), families)
-
-
-@dataclass
-class Steps:
-    """Load steps of a dome: CPU seconds of laying and of each step, counts and tensions of each."""
-
-    laying: float
-    seconds: list[float]
-    counts: list[tuple[int, int]]
-    tensions: list[list[float]]
-    unknowns: int
-
-
-def inflated(mesh: meshes.MembraneMesh, net: nets.Net | None, slide: bool = True) -> Steps:
-    """Lay a net along lines of a dome's mesh, if there is one, and inflate it."""
-    scene = covered(mesh)
-    solver = Solver(scene, slide=slide)
-    laying, _ = timed(lambda: scene.lay_net(net, Cable(EA=600e3)) if net else None)
-    found = Steps(laying, [], [], [], 0)
-    for pressure in PRESSURES:
-        spent, step = timed(lambda p=pressure: solver.advance(pressure=p))  # type: ignore[misc]
-        found.seconds.append(spent)
-        found.counts.append((step.outcome.factorizations, step.outcome.evaluations))
-        found.tensions.append([cable.tension for cable in scene.cables])
-    found.unknowns = 3 * solver.system.unknowns.n_global
-    return found
-
-
-def dome(unknowns: float, repeats: int) -> None:
-    """Cables along lines that are held and that slide, against the bare roof of the same mesh."""
-    first = cap(unknowns)
-    net = net_on(first)
-    ways = {"bare roof": (None, True), "lines held": (net, False), "lines slide": (net, True)}
-    cutting, runs = [], {name: list[Steps]() for name in ways}
-    for _ in range(repeats):
-        spent, mesh = timed(lambda: meshes.along(first, net.paths))
-        cutting.append(spent)
-        for name, way in ways.items():
-            runs[name].append(inflated(mesh, *way))
-    print("\ndome            unknowns    s at .3      .5    fact.      eval.     ratio  laying"
-          "    mean T          mirrored")  # fmt: skip
-    bare = np.array([one.seconds for one in runs["bare roof"]]).sum(axis=1)
-    for name, own in runs.items():
-        seconds = np.array([one.seconds for one in own])
-        counts = ["+".join(map(str, each)) for each in zip(*own[0].counts, strict=True)]
-        said = f"{name:16}{own[0].unknowns:8}{np.median(seconds[:, 0]):12.2f}"
-        said += f"{np.median(seconds[:, 1]):8.2f}{counts[0]:>9}{counts[1]:>11}"
-        if own[0].tensions[0]:
-            families = np.reshape(own[0].tensions, (2, 2, CABLES))  # of both steps
-            mirrored = np.abs(families / families[:, :, ::-1] - 1).max(axis=(1, 2))
-            ratio = np.median(seconds.sum(axis=1) / bare)
-            laying = statistics.median(one.laying for one in own)
-            said += f"{ratio:10.2f}{laying:8.2f}"
-            said += "".join(f"{T:9.2f}" for T in families.mean(axis=(1, 2)))
-            said += "".join(f"{part:9.5f}" for part in mirrored)
-        print(said, flush=True)
-    print(f"cutting and spreading {statistics.median(cutting):.2f} s", flush=True)
 
 
 # --- halls -----------------------------------------------------------------------------------
@@ -231,7 +202,7 @@ HALLS = [
          OrthotropicMembrane(E1=1100.0, E2=900.0, G12=40.0, nu21=0.2, thickness=1.0),
          (1.0, 0.0, 0.0)),
 ]  # fmt: skip
-SIZES = {"36 x 36": (1.2, 0.8), "36 x 54": (2.0, 1.4)}
+SIZES = {"36 x 36": (1.7, 1.2, 0.8), "36 x 54": (1.4, 1.0, 0.75)}
 
 
 def diagonal_wind(points: NDArray[np.float64], normals: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -268,8 +239,9 @@ def in_the_storm(hall: Hall, form: FoundForm, net: nets.Net) -> Storm:
     return Storm((laying, calm, storm), at_calm, at_storm, unknowns, doubts)
 
 
-def halls(hall: Hall, size: float, repeats: int) -> None:
-    """Folded cables and cables along lines that slide, with as many unknowns."""
+def halls(hall: Hall, size: float, repeats: int) -> tuple[tuple[float, NDArray[np.float64]], ...]:
+    """Folded cables and cables along lines that slide, with as many unknowns: of both the cells'
+    size and tensions; mean, smallest and largest one, calm and in the storm."""
     form = hall.form(size)
     net = hall.net(form)
     folded = [in_the_storm(hall, form, net)]
@@ -298,6 +270,20 @@ def halls(hall: Hall, size: float, repeats: int) -> None:
     ratios = [a / b for a, b in zip(spent["folded"], spent["along lines"], strict=True)]
     print(f"folded / along lines: calm {ratios[1]:.2f}, storm {ratios[2]:.2f}, laying "
           f"{ratios[0]:.1f}; form cut along the net in {cutting:.2f} s", flush=True)  # fmt: skip
+    return tuple(
+        (own, np.array([(T.mean(), T.min(), T.max()) for T in (run.calm, run.storm)]).ravel())
+        for own, run in ((size, folded[0]), (finer, lying[0]))
+    )
+
+
+def limits_of_halls(found: Sequence[tuple[tuple[float, NDArray[np.float64]], ...]]) -> None:
+    """What tensions of both ways lead to on finer meshes, and how far these are apart."""
+    ends = [limit(*zip(*way, strict=True)) for way in zip(*found, strict=True)]
+    rows = zip(("folded", "along lines"), ends, [T for _, T in found[-1]], strict=True)
+    for name, end, finest in rows:
+        said = "".join(f"{T:9.2f} ({one / T - 1:+.1%})" for T, one in zip(end, finest, strict=True))
+        print(f"{name:12} limits (error of the finest mesh) {said}")
+    print("apart" + "".join(f"{a / b - 1:10.2%}" for b, a in zip(*ends, strict=True)), flush=True)
 
 
 # --- limits ----------------------------------------------------------------------------------
@@ -507,6 +493,14 @@ def processes(unknowns: float) -> None:
           f"{worst:.0e}", flush=True)  # fmt: skip
 
 
+def many_roofs(numbers: Sequence[int], unknowns: float) -> None:
+    """Random roofs in many load steps."""
+    wrong = [(number, text) for number in numbers for text in run(number, unknowns)]
+    bad = len({number for number, _ in wrong})
+    print(f"\n{len(numbers)} roofs, {bad} of which with refused or doubtful states")
+    print("\n".join(text for _, text in wrong), flush=True)
+
+
 def clamps(count: int) -> None:
     """Random clamped nets on a rigid sheet, against strings."""
     found = [clamped(seed, 1 + seed // 2 % 3, 1 + seed // 6 % 3) for seed in range(count)]
@@ -519,41 +513,61 @@ def clamps(count: int) -> None:
           flush=True)  # fmt: skip
 
 
-def main(given: list[str]) -> None:
-    """Print the tables asked for."""
-    tables = ("square", "dome", "halls", "limits", "angles", "clamps", "processes")
-    options = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
-    options.add_argument("tables", nargs="*", help=f"which, of {', '.join(tables)}; default all")
-    options.add_argument("--repeats", type=int, default=3)
-    options.add_argument("--scale", type=float, default=1.0, help="of the numbers of unknowns")
-    chosen = options.parse_args(given)
-    if set(chosen.tables) - set(tables):
-        options.error(f"there are no such tables: {', '.join(set(chosen.tables) - set(tables))}")
-    wanted, scale = chosen.tables or tables, chosen.scale
-    logging.getLogger("crms_fenicsx").setLevel(logging.INFO)
-    warnings.simplefilter("ignore", PathWarning)
-    if "square" in wanted:
-        square([max(round(k * float(np.sqrt(scale)) / 10), 1) * 10 for k in CELLS])
-    if "dome" in wanted:
+def tables(chosen: argparse.Namespace) -> dict[str, Callable[[], Any]]:
+    """What prints each table."""
+    scale, repeats = chosen.scale, chosen.repeats
+    finer = float(np.sqrt(scale))
+
+    def domes() -> None:
         dome(min(UNKNOWNS) * min(scale, 0.1), 1)  # compile and load
         for unknowns in UNKNOWNS:
-            dome(unknowns * scale, chosen.repeats)
-    if "halls" in wanted:
+            dome(unknowns * scale, repeats)
+
+    def air_halls() -> None:
         for hall in HALLS:
-            for size in SIZES[hall.name]:
-                halls(hall, size / float(np.sqrt(scale)), chosen.repeats)
-    if "limits" in wanted:
-        on_rim = [24 * max(round(n * float(np.sqrt(scale)) / 24), 1) for n in ON_RIM]
+            sizes = [size / finer for size in SIZES[hall.name]]
+            limits_of_halls([halls(hall, size, repeats) for size in sizes])
+
+    def of_limits() -> None:
+        on_rim = [24 * max(round(n * finer / 24), 1) for n in ON_RIM]
         for shortened in (1.0, 0.995):
             limits(shortened, on_rim)
         for n in on_rim[:3]:
             scatter(n)
-    if "angles" in wanted:
-        angles(scale)
-    if "clamps" in wanted:
-        clamps(max(2, round(60 * min(scale, 1.0))))
-    if "processes" in wanted:
-        processes(1e5 * scale)
+
+    return {
+        "square": lambda: square([max(round(k * finer / 10), 1) * 10 for k in CELLS]),
+        "kratos": lambda: kratos(BESIDE, repeats),
+        "dome": domes,
+        "cost": lambda: cost([unknowns * scale for unknowns in (3_500, *UNKNOWNS)]),
+        "folded": lambda: [folded(unknowns * scale) for unknowns in FOLDED],
+        "mirrored": lambda: mirrored(MIRRORED * scale),
+        "halls": air_halls,
+        "net": lambda: cable_net([size / finer for size in NET_SIZES]),
+        "roofs": lambda: many_roofs(range(*chosen.roofs), chosen.unknowns * scale),
+        "limits": of_limits,
+        "angles": lambda: angles(scale),
+        "clamps": lambda: clamps(max(2, round(60 * min(scale, 1.0)))),
+        "processes": lambda: processes(1e5 * scale),
+    }
+
+
+def main(given: list[str]) -> None:
+    """Print the tables asked for."""
+    options = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    options.add_argument("tables", nargs="*", help="which of the tables above; all by default")
+    options.add_argument("--repeats", type=int, default=3)
+    options.add_argument("--scale", type=float, default=1.0, help="of the numbers of unknowns")
+    options.add_argument("--roofs", type=int, nargs=2, default=(0, 20), help="first and end")
+    options.add_argument("--unknowns", type=float, default=5000.0, help="of each of the roofs")
+    chosen = options.parse_args(given)
+    known = tables(chosen)
+    if set(chosen.tables) - set(known):
+        options.error(f"there are no such tables: {', '.join(set(chosen.tables) - set(known))}")
+    logging.getLogger("crms_fenicsx").setLevel(logging.INFO)
+    warnings.simplefilter("ignore", PathWarning)
+    for name in chosen.tables or known:
+        known[name]()
 
 
 if __name__ == "__main__":

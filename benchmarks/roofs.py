@@ -11,11 +11,13 @@ from crms_fenicsx import IsotropicMembrane, Scene, meshes, nets
 RADIUS, HEIGHT, SPACING = 100.0, 28.0, 8.5
 
 
-def cap(unknowns: float) -> meshes.MembraneMesh:
-    """The mesh of the dome of `demos/air_dome.py`."""
+def cap(
+    unknowns: float, lines: dict[str, NDArray[np.float64]] | None = None
+) -> meshes.MembraneMesh:
+    """The mesh of the dome of `demos/air_dome.py`, with lines in it if there are any."""
     area = np.pi * (RADIUS**2 + HEIGHT**2)
     size = float(np.sqrt(2 / np.sqrt(3) * area * 3 / unknowns))
-    return meshes.spherical_cap(MPI.COMM_WORLD, radius=RADIUS, height=HEIGHT, size=size)
+    return meshes.spherical_cap(MPI.COMM_WORLD, RADIUS, HEIGHT, size, lines=lines)
 
 
 def covered(mesh: meshes.MembraneMesh) -> Scene:

@@ -7,6 +7,9 @@ import re
 import lines
 import numpy as np
 import pytest
+from lined import dome
+from lined.many_roofs import run
+from lined.mirrored import MESHES
 
 
 def test_square() -> None:
@@ -30,6 +33,21 @@ def test_dome(capsys: pytest.CaptureFixture[str]) -> None:
         assert max(map(int, counts)) <= 12
         means.append(float(mean))
     assert 0.99 < means[1] / means[0] < 1.0
+
+
+@pytest.mark.filterwarnings("ignore::crms_fenicsx.PathWarning")
+def test_mirrored_mesh() -> None:
+    """Tensions of cables that are mirror images are equal where the mesh is mirrored, too."""
+    mesh = MESHES["mirrored"](3000.0)
+    found = dome.inflated(mesh, dome.net_on(mesh))
+    families = np.reshape(found.tensions, (2, 2, dome.CABLES))
+    assert dome.unlike(families).max() < 1e-7
+
+
+def test_random_roofs(capsys: pytest.CaptureFixture[str]) -> None:
+    """One that embeds its lines, and one that is cut along them."""
+    assert run(7, 1500.0) == [] == run(3, 1500.0)
+    assert capsys.readouterr().out.count(" verified") == 20
 
 
 def test_angles_of_a_hall() -> None:

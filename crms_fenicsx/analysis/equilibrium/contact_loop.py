@@ -97,8 +97,9 @@ class ContactLoop:
             way = system.follow_rows(begins, solved)
             if system.collapse:
                 return replace(total, converged=False, reason=system.collapse)
-            # friction is updated from places also near equilibrium, where a look ends a solve
-            rests = way <= (NEAR if outcome.reason == "interrupted" else SETTLED)
+            # friction is updated from places also near equilibrium, where a look ends a solve; at
+            # the end it is in balance where the rows then lie
+            rests = way <= (NEAR if outcome.reason == "interrupted" else 0.0)
             if not changes and (self._once or rests):
                 if way > 0.0:
                     system.renew_base()

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from cabled_square import advanced
 from grids import alternating, grid, numbered
+from lined.strings import clamped
 from mpi4py import MPI
 from scipy.optimize import fsolve, minimize
-from sweeps.strings import clamped
 from taylor import OnMesh, gradient_order, noise
 from term_scene import displaced
 from vtu_file import read_vtu
