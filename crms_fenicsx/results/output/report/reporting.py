@@ -73,16 +73,7 @@ def checked_plan(comm: MPI.Intracomm, scene: Scene, filename: str | Path, **opti
         checks.collection(f"report: {name}", given, Mapping, example)
         for text in (text for pair in given.items() for text in pair):
             checks.of_type(f"report: {text!r} in {name}", text, str)
-    checks.collection("report: cable_strengths", plan.cable_strengths, Mapping, '{"ridge": 120.0}')
-    designed = {x.name: scene.design.of_cable(x.name, LIMIT_STATES[0]) for x in scene.cables}
-    strengths = {name: value for name, value in designed.items() if value is not None}
-    for name, value in plan.cable_strengths.items():
-        if scene.cable(name).name in strengths:
-            raise InputError(
-                f"report: cable_strengths of {name!r}, whose strength scene.set_strengths has "
-                "already; leave it out."
-            )
-        strengths[name] = checks.positive(f"report: strength of the cable {name!r}", value)
+    strengths = _checked_strengths(scene, plan.cable_strengths)
     further = plan.sections
     if not isinstance(further, Sequence) or not all(isinstance(x, PageSection) for x in further):
         raise InputError(
@@ -127,6 +118,21 @@ def checked_plan(comm: MPI.Intracomm, scene: Scene, filename: str | Path, **opti
         plan, path=path, cable_strengths=strengths, pictures=pictures, foundations=foundations,
         template=None if plan.template is None else Path(plan.template).absolute(),
     )  # fmt: skip
+
+
+def _checked_strengths(scene: Scene, given: Mapping[str, float]) -> dict[str, float]:
+    """Strengths of cables in ultimate limit states, of the scene or given (force), by name."""
+    checks.collection("report: cable_strengths", given, Mapping, '{"ridge": 120.0}')
+    designed = {x.name: scene.design.of_cable(x.name, LIMIT_STATES[0]) for x in scene.cables}
+    strengths = {name: value for name, value in designed.items() if value is not None}
+    for name, value in given.items():
+        if scene.cable(name).name in strengths:
+            raise InputError(
+                f"report: cable_strengths of {name!r}, whose strength scene.set_strengths has "
+                "already; leave it out."
+            )
+        strengths[name] = checks.positive(f"report: strength of the cable {name!r}", value)
+    return strengths
 
 
 def _checked_foundations(

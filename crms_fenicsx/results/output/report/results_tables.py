@@ -73,8 +73,9 @@ class ResultTables:
         """Pressure and load factors of the cases and the base state."""
         every = [(case.name, case.summary.pressure, case.summary.factors) for case in self.cases]
         divided = {
-            case.name: max((one.divisor for one in case.summary.design.values()), default=1.0)
+            case.name: max(one.divisor for one in case.summary.design.values())
             for case in self.cases
+            if case.summary.design
         }
         reduced = any(x != 1.0 for x in divided.values())
         base = [one for one in every if one[1] == pressure and one[2] == factors]
