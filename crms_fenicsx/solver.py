@@ -17,7 +17,12 @@ from crms_fenicsx.analysis.equilibrium.system import System
 from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.analysis.scene.state import SceneState
 from crms_fenicsx.analysis.steps.increment_solver import IncrementSolver, Options
-from crms_fenicsx.analysis.steps.load_cases import Combination, check_combinations, split
+from crms_fenicsx.analysis.steps.load_cases import (
+    Combination,
+    check_combinations,
+    checked_states,
+    combined,
+)
 from crms_fenicsx.analysis.steps.loading import checked_target
 from crms_fenicsx.analysis.steps.movements import Move
 from crms_fenicsx.analysis.steps.snap_through import SnapThroughSearch
@@ -66,7 +71,7 @@ if TYPE_CHECKING:
     from crms_fenicsx.results.rain import PondingCheck
     from crms_fenicsx.results.reactions import Reactions, Residual, Tangent
     from crms_fenicsx.results.sensitivities import Sensitivities
-    from crms_fenicsx.results.summary import Summary
+    from crms_fenicsx.results.summary import DesignTable, Summary
 
 
 logger = logging.getLogger("crms_fenicsx")
@@ -454,7 +459,11 @@ class Solver:
         combinations
             By name of combination, the factors of its loads by name, and "pressure", "temperature"
             and "atmosphere" if they change, as in `Solver.advance`. Other loads stay: an empty
-            combination is the base state.
+            combination is the base state. Further names: "state", the limit state that it is for:
+            "ULS" (the default), "accidental", "erection" ..., or for serviceability
+            "characteristic", "frequent", "quasi-permanent"; "prestress", a partial factor of the
+            fabric's prestress, the forces that cables and bars have now, and the pressure;
+            "without", names of cables and bars that are missing.
         steps
             Number of increments of each combination.
 
@@ -466,8 +475,10 @@ class Solver:
         Raises
         ------
         InputError
-            On all ranks, before anything is computed: an unknown load, a factor that is not finite,
-            or an invalid number of steps.
+            On all ranks, before anything is computed: an unknown load, limit state, cable or bar,
+            a factor that is not finite, a combination without its design strength
+            (`codes.FabricDesign`), a prestress that cannot be scaled, or an invalid number of
+            steps.
         ConvergenceError
             A combination has no equilibrium; the message names it.
 
@@ -476,21 +487,13 @@ class Solver:
         >>> found = solver.combine({
         ...     "snow": {"weight": 1.35, "snow": 1.5},
         ...     "storm": {"weight": 1.0, "wind along x": 1.5, "pressure": 0.6},
+        ...     "calm": {"weight": 1.0, "state": "quasi-permanent"},
+        ...     "ridge torn": {"weight": 1.0, "state": "accidental", "without": ["ridge"]},
         ... })
-        >>> max(found, key=lambda name: found[name].snapshot.tensions["ridge"])
+        >>> max(("snow", "storm"), key=lambda name: found[name].snapshot.tensions["ridge"])
         """
         check_combinations(self.scene, combinations)
-        found = dict[str, Combination]()
-        for name, given in checks.in_one_order(self.scene.comm, combinations).items():
-            air, factors = split(given)
-            with self.branch(name) as start:
-                base = next((one.base for one in found.values()), start)  # equal, so kept once
-                try:
-                    step = self.advance(load=factors, steps=steps, **air)
-                except ConvergenceError as error:
-                    raise ConvergenceError(f"combination {name!r}: {error}") from None
-                found[name] = Combination(name, step, self.snapshot(), base)
-        return found
+        return combined(self, combinations, steps)
 
     @collective
     def check_ponding(self, rain: Positive, *, weight: Positive = 10.0) -> PondingCheck:
@@ -677,6 +680,38 @@ class Solver:
         return summary(self.system)
 
     @collective
+    def judge(self, combinations: PerRank[Mapping[str, Combination]]) -> DesignTable:
+        """Judge combinations by strengths and limits: what governs in each limit state. Collective.
+
+        The scene's own state is restored.
+
+        Parameters
+        ----------
+        combinations
+            Result of `combine`.
+
+        Returns
+        -------
+        DesignTable
+            The same on all ranks; ``print`` shows it.
+
+        Raises
+        ------
+        InputError
+            On all ranks: no combinations, or those of another scene.
+
+        Examples
+        --------
+        >>> scene.set_strengths((84.0, 80.0), cables=50.0)
+        >>> table = solver.judge(solver.combine({"full": {}, "half": {"pressure": 0.5}}))
+        >>> [(name, check.what, check.member) for _, name, check in table.rows]
+        [('full', 'fabric', ''), ('full', 'cable', 'ridge')]
+        """
+        from crms_fenicsx.results.summary import judged
+
+        return judged(self, checked_states("judge", self.scene, combinations))
+
+    @collective
     def estimate_error(self) -> ErrorEstimate:
         """Estimate the discretisation error of the current state's energy, which is too high.
         Collective.
@@ -828,13 +863,14 @@ class Solver:
         self, filename: File,
         combinations: PerRank[Mapping[str, Combination] | None] = None, **options: Any,
     ) -> None:  # fmt: skip
-        """Write a report for the checking engineer: one HTML page, and CSV tables. Collective.
+        """Write a report for the checking engineer: HTML page, CSV tables, PDF. Collective.
 
-        The page has a verdict with its reasons, the model, loads and combinations, pictures,
-        section forces, utilisation and envelopes, cables, bars, ponds, foundation forces and the
-        checks of all equilibria. It needs no other files or network, is smaller than 5 MB, and
-        prints on A4. The tables lie beside ``tent.html``, as ``tent_membrane.csv``, with full
-        precision. Results belong to the combinations' states, with their model and base state;
+        The page has a verdict with its reasons, what governs in each limit state, lines for
+        signatures, the basis of design, materials, model, loads and combinations, section forces,
+        utilisation and envelopes, pictures of governing combinations, cables, bars, ponds,
+        foundation forces and the checks of all equilibria. It needs no other files or network, and
+        is smaller than 5 MB. The tables lie beside ``tent.html``, as ``tent_membrane.csv``, with
+        full precision. Results belong to the combinations' states, with their model and base state;
         strengths are the present ones. The scene's own state is restored. Without combinations the
         page warns in red if the scene has changed since its last load step. Ten or more bars whose
         names differ in a final number share rows on the page.
@@ -847,28 +883,30 @@ class Solver:
         combinations
             Result of `combine`; by default the current state alone.
         **options
-            ``title``: heading. ``about``: names and texts below it, as ``{"Project": "..."}``.
+            ``title``: heading. ``about``: names and texts below it; "Office", "Project", "Author",
+            "Checker", "Revision" and "Date" also in the PDF's head and signatures. ``basis``:
+            names and texts of the basis of design, as ``{"Codes": "EN 1990"}``.
             ``unit``, ``force``: names of the units of length and force. ``cable_strengths``:
             strengths of cables by name, divided by the partial factors (force), for their
             utilisation; the fabric's strengths are those of `Scene.set_strengths`. ``pictures``:
             membrane colours of each combination's pictures, as for `draw`, or "tension" of cables
-            and bars; by default tension, displacement, section forces and utilisation. Too large a
-            page omits the last ones. ``view``: viewpoint, as for `draw`. ``sections``: additional
-            ones, as of `design.patterns.report_sections`. ``order``: fabrication lengths of
-            cables, from `nets.lengths_to_order`. ``foundations``: ends of cables and joints on each
+            and bars; by default tension, displacement, section forces and utilisation. Of more than
+            12, those of governing combinations. Too large a page omits the last ones. ``view``:
+            viewpoint, as for `draw`. ``sections``: additional ones, as of
+            `design.patterns.report_sections`. ``order``: fabrication lengths of cables, from
+            `nets.lengths_to_order`. ``foundations``: ends of cables and joints on each
             foundation, as ``{"F1": ["A1 start", "mast foot"]}``; ends at the same place belong
             together. ``strain_limit``: of the membrane's larger principal strain, by default 0.1.
-            ``template``: a jinja2 file, which may extend "report.html". ``pdf``: whether to print
-            the page as PDF, with an installed browser or WeasyPrint, or that in the variable
-            CRMS_BROWSER. ``interactive``: whether to write a rotatable view of each combination, as
-            ``tent_view_1.html``, with pyvista and its trame.
+            ``template``: a jinja2 file, which may extend "report.html". ``pdf``: whether to write a
+            PDF too, with WeasyPrint. ``interactive``: whether to write a rotatable view of each
+            combination, as ``tent_view_1.html``, with pyvista and its trame.
 
         Raises
         ------
         InputError
             On all ranks, before anything is written: an invalid argument, a file that cannot be
-            written, no browser for PDF, or combinations of different models; the message names the
-            difference.
+            written, no WeasyPrint for PDF, an unfit template, or combinations of different models;
+            the message names the difference.
         ImportError
             On all ranks: pyvista or trame is missing for `interactive`.
 

@@ -248,6 +248,7 @@ DRAWN: dict[str, dict[str, tuple[int, Draw]]] = {
             ),
         )
     },
+    "limit_states": {},
     "rain": {
         "hollow": (
             1,

@@ -63,6 +63,7 @@ scene = Scene(mesh, {"roof": fabric, "wall": fabric})
 scene.fix("boundary")
 solver = Solver(scene)
 """
+DESIGNED = PARTS + "from crms_fenicsx import codes"
 BEFORE = {
     **dict.fromkeys(("nets.lengths_to_order", "nets.tune"), NET),
     **dict.fromkeys(("Scene.put_wind", "Scene.set_material"), PARTS),
@@ -80,7 +81,10 @@ for foot in ((0.0, 0.0, 0.0), (8.0, 0.0, 0.0), (0.0, 8.0, 0.0)):
     scene.add_bar(Bar(EA=1e5), foot, top)
 """,
     "Rotation": 'scene.remove("ridge")',
-    "Scene.set_strengths": PARTS + LOADS,
+    **dict.fromkeys(
+        ("Scene.set_strengths", "analysis.scene.design.Design.set_strengths"), DESIGNED
+    ),
+    **dict.fromkeys(("Scene.set_limits", "analysis.scene.design.Design.set_limits"), PARTS),
     "Solver": "import sys",
     "Scene.unclamp": CLAMPED,
     "Solver.clamp_forces": CLAMPED,

@@ -43,9 +43,14 @@ class Bar:
         (force); None: unknown.
     curve
         Buckling curve of EN 1993-1-1, 6.3.1, of the cross-section and steel, "a0", "a", "b", "c" or
-        "d", which needs EI and strength; the slenderness takes the strength for A f_y, as with the
-        partial factor 1. Or a reduction factor of the strength of your own, 0 to 1. None: a
-        compressed bar has no utilisation.
+        "d", which needs EI and strength. Or a reduction factor of the strength of your own, 0 to 1.
+        None: a compressed bar has no utilisation.
+    gamma_M
+        Partial factor by which the strength is divided: the slenderness takes their product for
+        A f_y.
+    buckling_length
+        Buckling length (length); None: the distance of its ends. `codes.steel_bar` makes bars of
+        steel sections.
 
     Examples
     --------
@@ -59,6 +64,8 @@ class Bar:
     EI: Positive | None = None
     strength: Positive | None = None
     curve: Literal["a0", "a", "b", "c", "d"] | float | None = None
+    gamma_M: Positive = 1.0
+    buckling_length: Positive | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.tension_only, bool | np.bool_):
@@ -77,12 +84,13 @@ class Bar:
             raise InputError(f"Bar: curve = {self.curve!r} needs {' and '.join(lacking)}, too.")
 
     def reduction(self, length: float) -> float | None:
-        """Reduction factor chi of the strength in compression, EN 1993-1-1, (6.49); None without
-        a curve."""
+        """Reduction factor chi of the strength in compression, EN 1993-1-1, (6.49), of a bar of
+        some length; None without a curve."""
         if not isinstance(self.curve, str):
             return self.curve
         assert self.strength is not None and self.EI is not None
-        squared = self.strength * length**2 / (np.pi**2 * self.EI)
+        length = self.buckling_length or length
+        squared = self.strength * self.gamma_M * length**2 / (np.pi**2 * self.EI)
         phi = 0.5 * (1 + IMPERFECTIONS[self.curve] * (np.sqrt(squared) - 0.2) + squared)
         return min(1.0, float(1 / (phi + np.sqrt(max(phi**2 - squared, 0.0)))))
 
@@ -203,8 +211,9 @@ class PlacedBar(Handle[BarState]):
 
     @property
     def buckling(self) -> float | None:
-        """Euler load between hinges, pi^2 EI / l^2 (force); None without EI."""
-        return None if self.bar.EI is None else float(np.pi**2 * self.bar.EI / self.length**2)
+        """Euler load, pi^2 EI / l^2 with the buckling length l (force); None without EI."""
+        length = self.bar.buckling_length or self.length
+        return None if self.bar.EI is None else float(np.pi**2 * self.bar.EI / length**2)
 
     @property
     def utilisation(self) -> float | None:

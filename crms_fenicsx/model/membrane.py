@@ -35,7 +35,7 @@ from crms_fenicsx.foundation.runtime.errors import (
 )
 from crms_fenicsx.model.frames import checked_frames, own_areas
 from crms_fenicsx.model.materials import LINEAR, UFL_LAW, MembraneMaterial
-from crms_fenicsx.model.strengths import Strengths
+from crms_fenicsx.model.strengths import FabricDesign
 
 STABLE_PENALTY = (1e-3, 1.0)
 """Range of penalty factors in which folded cells are stable and do not lock."""
@@ -106,22 +106,15 @@ class Membrane:
         # (n, 2, 3) images in the mesh of the unit vectors along warp and weft of the cells' own
         # stress-free shapes; None where the mesh is stress-free
         self.frames = None if frames is None else checked_frames(mesh, frames)
-        # for results only, not part of the state: strengths by part, their partial factors by the
-        # names of the acting loads, and radii of reinforcement by group of points
-        self.strengths: dict[str, Strengths] = {}
-        self.strength_factors: dict[str, float] = {}
+        # for results only, not part of the state: strengths by part, and radii of reinforcement by
+        # group of points
+        self.strengths: dict[str, FabricDesign] = {}
         self.patches: dict[str, float] = {}
         # stress-free places in the mesh as given, displacements from there as in `MembraneState`,
         # and how often these have changed: the key of data that depend on them
         self.given = self.stress_free
         self.moved: Array | None = None
         self.placement = 0
-
-    def strength_factor(self, factors: Mapping[str, float]) -> float:
-        """The largest divisor of the strengths of the loads whose factors are not 0; 1 without."""
-        acting = [name for name, factor in factors.items() if factor != 0.0]
-        known = self.strength_factors
-        return max((known[name] for name in acting if name in known), default=1.0)
 
     @property
     def has_warp(self) -> bool:

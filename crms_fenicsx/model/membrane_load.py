@@ -7,8 +7,10 @@ on the new shape. The correction on folded cells is a separate term, `folded_pre
 
 from __future__ import annotations
 
+import inspect
+import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import cached_property
 from typing import Annotated, Literal
 
@@ -22,6 +24,7 @@ from crms_fenicsx.foundation.meshes.triangles import WALL, cell_normals, double_
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Rows
 from crms_fenicsx.foundation.runtime.errors import InputError, as_text, raised_together
+from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.membrane import Membrane
 
 Traction = Sequence[float] | Array | Callable[[Array, Array], Array]
@@ -58,6 +61,7 @@ class MembraneLoad:
     # as put if they have moved since
     placed: Annotated[Array, Rows.VERTICES, 3] | None = field(default=None, repr=False)
     put: MembraneLoad | None = field(default=None, repr=False)
+    basis: str = ""  # what its function says of itself: a dataclass its fields, others their text
 
     @property
     def is_active_wind(self) -> bool:
@@ -84,6 +88,18 @@ class MembraneLoad:
         material = membrane.at_places(put.material, places)
         forces = _Shape(membrane).nodal(membrane.cell_areas[:, None] * material)
         return replace(self, forces=forces, material=material, put=put)
+
+
+def described(function: object) -> str:
+    """The first line of a function's docstring; of a dataclass's object that of the class, with
+    its fields."""
+    text = (inspect.getdoc(function) or "").partition("\n")[0] if callable(function) else ""
+    if not is_dataclass(function) or isinstance(function, type):
+        return text
+    given = {one.name: getattr(function, one.name) for one in fields(function)}
+    values = [f"{name} = {value}" for name, value in given.items() if not is_dataclass(value)]
+    told = f"{text} {', '.join(values)}".replace("`", "")
+    return re.sub(r"\d+\.\d+", lambda found: f"{float(found[0]):.4g}", told)
 
 
 class _Shape:
@@ -147,7 +163,8 @@ def fixed_direction_load(
             given = checks.vector("put_load: the force per area", given)[:, None]
         loads[:] = shape.counted(per)[:, None] * given.T
     by_area = loads / membrane.cell_areas[:, None]
-    return replace(shape.load(name, loads), material=by_area, weighs=per == "material")
+    load, weighs = shape.load(name, loads), per == "material"
+    return replace(load, material=by_area, weighs=weighs, basis=described(traction))
 
 
 def wind_load(
@@ -158,7 +175,9 @@ def wind_load(
     suction = np.zeros(len(shape.areas))
     with raised_together(membrane.comm):
         suction[:] = -pressure * _coefficients(coefficient, membrane, shape)
-    return replace(shape.load(name, suction[:, None] * shape.vectors, suction), peak=pressure)
+    load = shape.load(name, suction[:, None] * shape.vectors, suction)
+    told = f"c_p = {coefficient:g}" if isinstance(coefficient, float | int) else ""
+    return replace(load, peak=pressure, basis=told or described(coefficient))
 
 
 def nodal_load(membrane: Membrane, forces: fem.Function, name: str = "forces") -> MembraneLoad:
@@ -195,6 +214,38 @@ def line_load(
     np.add.at(nodal, ends, (lengths[:, None] / 2 * vector)[:, None])
     total = membrane.comm.allreduce(float(lengths.sum()))
     return MembraneLoad(name, nodal, total * float(norm(vector)) / membrane.size**2)
+
+
+def cable_load(
+    membrane: Membrane, cables: Sequence[LaidCable], force: Array, name: str
+) -> MembraneLoad:
+    """A load of fixed direction (3,) along cables as they lie now (force per length), on the fabric
+    and joints where they touch it; half of the length between two contacts acts at each.
+    Collective."""
+    nodal = np.zeros(membrane.held.shape)
+    own = membrane.V.dofmap.index_map.size_local
+    home = {int(v): k for k, v in enumerate(membrane.vertex_ids[:own])}
+    joints: dict[str, tuple[float, float, float]] = {}
+    total = 0.0
+    for cable in cables:
+        nodes = cable.contacts()
+        steps = norm(np.diff(cable.state.positions[nodes], axis=0))
+        way = np.concatenate([[0.0], np.cumsum(steps)])
+        ends = {nodes[0]: 0, nodes[-1]: 1}
+        known = [k for k, node in enumerate(nodes)
+                 if cable.state.nodes[node].point is not None or node in ends]  # fmt: skip
+        halves = np.diff(way[known]) / 2
+        total += float(way[-1])
+        for k, length in zip(known, np.append(halves, 0.0) + np.append(0.0, halves), strict=True):
+            node, part = nodes[k], length * force
+            if cable.state.nodes[node].point is not None:
+                for vertex, weight in zip(*cable.interpolation(node), strict=True):
+                    if vertex in home:
+                        nodal[home[vertex]] += weight * part
+            elif (joint := cable.state.laid.joints[ends[node]]) is not None:
+                x, y, z = (part + joints.get(joint, (0.0, 0.0, 0.0))).tolist()
+                joints[joint] = x, y, z
+    return MembraneLoad(name, nodal, total * float(norm(force)) / membrane.size**2, joints=joints)
 
 
 def _coefficients(coefficient: Coefficient, membrane: Membrane, shape: _Shape) -> Array:

@@ -1,14 +1,16 @@
-"""Strengths of fabrics, their partial factors under some loads, and reinforced corners."""
+"""Limit states, design values of fabrics and cables, limits in service, and reinforced corners."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from crms_fenicsx.foundation.meshes.membrane_mesh import MembraneMesh, outer_first
 from crms_fenicsx.foundation.runtime import checks
+from crms_fenicsx.foundation.runtime.arguments import Positive, checked
 from crms_fenicsx.foundation.runtime.errors import InputError
 
 Strengths = tuple[float, float]
@@ -17,24 +19,326 @@ Strengths = tuple[float, float]
 ALL = ""
 """Key of strengths that hold for the whole membrane; not a valid part name."""
 
+SERVICE = ("characteristic", "frequent", "quasi-permanent")
+"""Serviceability limit states: limits of the user's count, strengths do not."""
+
+LIMIT_STATES = (
+    "ULS", "ULS 6.10a/b", "strength", "allowable stress", "accidental", "erection", *SERVICE,
+)  # fmt: skip
+"""What a combination can be for; the first is the default."""
+
+AIR = ("pressure", "temperature", "atmosphere")
+"""Names of the air's quantities in combinations and `Solver.advance`."""
+
+SETTINGS = (*AIR, "state", "prestress", "without")
+"""Names in combinations that are no loads: also the limit state, the factor of the prestress, and
+what is missing."""
+
+PERMANENT = "permanent"
+"""Name among durations and temperatures of what always acts: prestress and inner pressure."""
+
+BREAKS_AT = (0.002, 2.0)
+"""Strains at which fabrics and foils break: outside, strength and stiffness have other units."""
+
+
+def fits(load: str, name: str) -> bool:
+    """Whether a name means a load: its own name, or the kind that this begins with."""
+    return load == name or load.startswith(f"{name} ")
+
+
+@dataclass(frozen=True)
+class DesignStrength:
+    """Design strengths of a fabric in a combination.
+
+    Attributes
+    ----------
+    strength
+        Characteristic strengths in warp and weft (force per length).
+    factors
+        Divisors by name, "gamma_M", "k_biax" ...; they multiply.
+    """
+
+    strength: Strengths
+    factors: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def divisor(self) -> float:
+        """Product of the factors."""
+        return float(np.prod([*self.factors.values()]))
+
+    @property
+    def design(self) -> Strengths:
+        """Design strengths in warp and weft (force per length)."""
+        warp, weft = self.strength
+        return warp / self.divisor, weft / self.divisor
+
+
+@checked
+@dataclass(frozen=True)
+class FabricDesign:
+    """Design strength of a fabric: f_d = f_k / (gamma_M k_biax k_age k_long k_temp k_size).
+
+    The factors divide, each 1 or more, and multiply. In a combination k_long and k_temp are those
+    of the acting load with the smallest one: strength is lost over a time and at a temperature, so
+    the load that acts for the shortest time decides what is left of it, as with k_mod of EN
+    1995-1-1, 3.1.3(2). The loads that act longer are judged by the combinations without it, which
+    must be in the table, as in that of `codes.combinations`.
+
+    Parameters
+    ----------
+    strength
+        Characteristic strengths in warp and weft of uniaxial tests (force per length).
+    gamma_M
+        Partial factor of the material, or one for each limit state that is judged, as in ``{"ULS":
+        1.4, "accidental": 1.1}``.
+    biaxial, ageing, size
+        Factors k_biax of biaxial stress, k_age of weather, and k_size of large panels.
+    duration, temperature
+        Factors k_long and k_temp by loads, or kinds that names of loads begin with. "permanent"
+        stands for prestress and pressure, which always act; `Solver.combine` refuses
+        combinations with a load that is not named.
+
+    Raises
+    ------
+    InputError
+        A strength that is not positive, or a factor below 1, as if it multiplied strengths.
+
+    Notes
+    -----
+    The product is that of CEN/TS 19102 and of the factors A_0 to A_3 of J. Minte (1981), which also
+    apply by load case. No copy was available: it was not compared with a source. Take the values
+    from tests of the fabric.
+
+    Examples
+    --------
+    >>> fabric = codes.FabricDesign(
+    ...     (84.0, 80.0), gamma_M=1.4, biaxial=1.2, ageing=1.1,
+    ...     duration={"permanent": 1.7, "snow": 1.5, "wind": 1.0},
+    ...     temperature={"permanent": 1.1, "snow": 1.0, "wind": 1.1},
+    ... )
+    >>> [round(one, 1) for one in fabric.of("ULS", ["snow"]).design]
+    [30.3, 28.9]
+    """
+
+    strength: Strengths
+    gamma_M: float | Mapping[str, float]
+    biaxial: float = 1.0
+    ageing: float = 1.0
+    duration: Mapping[str, float] = field(default_factory=dict)
+    temperature: Mapping[str, float] = field(default_factory=dict)
+    size: float = 1.0
+
+    def __post_init__(self) -> None:
+        checked_pair("FabricDesign: strength", self.strength)
+        for name in ("gamma_M", "biaxial", "ageing", "duration", "temperature", "size"):
+            given = getattr(self, name)
+            if name in ("duration", "temperature"):
+                checks.collection(
+                    f"FabricDesign: {name}", given, Mapping, f'{name}={{"snow": 1.5}}'
+                )
+                if given and PERMANENT not in given:
+                    raise InputError(
+                        f'FabricDesign: {name} = {given!r} lacks "{PERMANENT}", of prestress and '
+                        "pressure, which always act."
+                    )
+            for key, value in given.items() if isinstance(given, Mapping) else [("", given)]:
+                if name == "gamma_M" and key:
+                    checks.one_of("FabricDesign: limit state of gamma_M", key, LIMIT_STATES)
+                what = f"FabricDesign: {name}{f' of {key!r}' if key else ''}"
+                if checks.positive(what, value) < 1.0:
+                    raise InputError(
+                        f"{what} = {value:g} is below 1; factors divide strengths: pass "
+                        f"{1 / value:.3g}."
+                    )
+
+    def of(self, state: str, loads: Iterable[str]) -> DesignStrength:
+        """The design strength in a limit state under acting loads, by names.
+
+        Raises
+        ------
+        InputError
+            No gamma_M for the limit state, or a load that two names of factors mean.
+        """
+        gamma, acting = self.gamma_M, list(loads)
+        if isinstance(gamma, Mapping):
+            key = next((one for one in gamma if fits(state, one)), state)
+            gamma = checks.named("partial factor gamma_M of the limit state", gamma, key)
+        found = {"gamma_M": float(gamma), "k_biax": self.biaxial, "k_age": self.ageing}
+        found["k_long"] = _least("duration", self.duration, acting)
+        found["k_temp"] = _least("temperature", self.temperature, acting)
+        return DesignStrength(self.strength, found | {"k_size": self.size})
+
+    def check_loads(self, call: str, state: str, loads: Iterable[str]) -> None:
+        """Refuse a combination without its design value."""
+        acting = list(loads)
+        for name in ("duration", "temperature"):
+            given = getattr(self, name)
+            unknown = [load for load in acting if not any(fits(load, one) for one in given)]
+            if given and unknown:
+                raise InputError(
+                    f"{call}: the fabric has no {name} factor of the load {unknown[0]!r}, so no "
+                    f"design strength; add it to FabricDesign({name}=...), which has "
+                    f"{', '.join(map(repr, given))}."
+                )
+        try:
+            self.of(state, acting)
+        except InputError as error:
+            raise InputError(f"{call}: {error}") from None
+
+    def table(self, combinations: Mapping[str, Mapping[str, Any]]) -> str:
+        """The design strength of each combination that strengths judge, with every factor, as text.
+
+        Examples
+        --------
+        >>> table = {"snow": {"snow": 1.5}, "storm": {"snow": 0.75, "wind": 1.5}}
+        >>> design = codes.FabricDesign(
+        ...     (84.0, 80.0), gamma_M=1.4, duration={"permanent": 1.7, "snow": 1.5, "wind": 1.0}
+        ... )
+        >>> print(design.table(table))
+                gamma_M  k_biax  k_age  k_long  k_temp  k_size   warp   weft
+        snow        1.4       1      1     1.5       1       1     40   38.1
+        storm       1.4       1      1       1       1       1     60  57.14
+        """
+        rows = {}
+        for name, given in combinations.items():
+            state = str(given.get("state", LIMIT_STATES[0]))
+            if state not in SERVICE:
+                rows[name] = self.of(state, acting_loads(given))
+        heads = [*next(iter(rows.values()), DesignStrength(self.strength)).factors, "warp", "weft"]
+        wide = max(map(len, rows), default=0)
+        lines = [" " * wide + "".join(f"  {head:>5}" for head in heads)]
+        for name, one in rows.items():
+            values = [*one.factors.values(), *one.design]
+            cells = zip(heads, values, strict=True)
+            lines.append(
+                name.ljust(wide) + "".join(f"  {x:>{max(5, len(h))}.4g}" for h, x in cells)
+            )
+        return "\n".join(lines)
+
+
+def acting_loads(given: Mapping[str, Any]) -> list[str]:
+    """Names of the loads with a factor other than 0 in a combination."""
+    return [name for name, factor in given.items()
+            if isinstance(factor, int | float) and factor != 0.0
+            and name not in SETTINGS]  # fmt: skip
+
+
+def _least(what: str, given: Mapping[str, float], acting: Iterable[str]) -> float:
+    """The smallest factor of what acts; 1 if there are none at all."""
+    found = [given[PERMANENT]] if PERMANENT in given else []
+    for load in acting:
+        own = [name for name in given if name != PERMANENT and fits(load, name)]
+        if len(own) > 1:
+            raise InputError(
+                f"FabricDesign: {' and '.join(map(repr, own))} are two {what} factors of the load "
+                f"{load!r}; leave one out."
+            )
+        found += [given[name] for name in own]
+    return min(found, default=1.0)
+
+
+@checked
+@dataclass(frozen=True)
+class CableDesign:
+    """Design value of a cable's tension by EN 1993-1-11.
+
+    F_Rd = min(F_uk / (1.5 gamma_R), F_k / gamma_R), (6.2), with F_uk = k_e F_min; in service k_e
+    F_min times the limit of 7.2.
+
+    Parameters
+    ----------
+    breaking
+        Minimum breaking force F_min of the rope (force).
+    proof
+        Characteristic proof strength F_k, such as F_0.2k (force); None: it does not govern.
+    gamma_R
+        1.0, or 0.9 if measures reduce bending at the anchorages, table 6.2.
+    ending
+        Loss factor k_e of the end fittings, table 6.3: 1.0 of sockets, 0.9 of swaged and
+        ferrule-secured ends, 0.8 of U-bolt grips.
+    service
+        Limit of the stress in service over the breaking strength, table 7.2: 0.45, or 0.5 where
+        bending stresses are taken into account.
+
+    Notes
+    -----
+    From memory, and compared with hand calculation only: compare it with your copy of the code.
+
+    Examples
+    --------
+    >>> strand = codes.CableDesign(breaking=220.0, ending=0.9)  # kN
+    >>> strand.of("ULS"), strand.of("characteristic")
+    (132.0, 89.1)
+    """
+
+    breaking: Positive
+    proof: Positive | None = None
+    gamma_R: Positive = 1.0
+    ending: Positive = 1.0
+    service: Positive = 0.45
+
+    def __post_init__(self) -> None:
+        for name, high in (("ending", 1.0), ("service", 1.0)):
+            checks.within(f"CableDesign: {name}", getattr(self, name), 0.0, high)
+
+    def of(self, state: str) -> float:
+        """Design value in a limit state (force)."""
+        broken = self.breaking * self.ending
+        if state in SERVICE:
+            return self.service * broken
+        first = broken / (1.5 * self.gamma_R)
+        return first if self.proof is None else min(first, self.proof / self.gamma_R)
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Limits in service, of `Scene.set_limits`; None and names that are missing: no limit.
+
+    Attributes
+    ----------
+    deflection
+        Largest displacement from the state in operation (length), by part of the mesh or joint;
+        key "" for the whole membrane.
+    prestress
+        Smallest section force (force per length), by part; key "" for the whole membrane.
+    slope
+        Smallest slope for drainage (degrees).
+    water
+        Depth up to which water may stand (length).
+    """
+
+    deflection: Mapping[str, float] = field(default_factory=dict)
+    prestress: Mapping[str, float] = field(default_factory=dict)
+    slope: float | None = None
+    water: float | None = None
+
+
+def checked_pair(what: str, pair: Any) -> Strengths:
+    """Two positive strengths."""
+    if np.shape(pair) != (2,):
+        raise InputError(f"{what} = {pair!r}; pass two, of warp and weft.")
+    warp, weft = (checks.positive(what, x) for x in pair)
+    return warp, weft
+
 
 def checked_strengths(
-    call: str, strengths: Strengths | Mapping[str, Strengths], mesh: MembraneMesh
-) -> dict[str, Strengths]:
-    """Checked strengths by part, or under `ALL` those of the whole membrane."""
+    call: str, strengths: Any, mesh: MembraneMesh, materials: Iterable[Any] = ()
+) -> dict[str, FabricDesign]:
+    """Checked strengths by part, or under `ALL` those of the whole membrane; pairs are design
+    strengths, with the partial factor 1."""
     given: dict[str, Any] = {ALL: strengths}
     if isinstance(strengths, Mapping):
         parts = outer_first(mesh, call, "pair of strengths", strengths)
         given = {part: strengths[part] for part in parts}
     found = {}
-    for part, pair in given.items():
+    for part, one in given.items():
         owner = repr(part) if isinstance(strengths, Mapping) else "the membrane"
-        if np.shape(pair) != (2,):
-            raise InputError(
-                f"{call}: strengths of {owner} = {pair!r}; pass two, of warp and weft."
-            )
-        warp, weft = (checks.positive(f"{call}: strength of {owner}", x) for x in pair)
-        found[part] = (warp, weft)
+        if isinstance(one, FabricDesign):
+            _check_units(f"{call}: strength of {owner}", one.strength, materials)
+            found[part] = one
+        else:
+            pair = checked_pair(f"{call}: strength of {owner}", one)
+            found[part] = FabricDesign(pair, gamma_M=1.0)
     if not found:
         raise InputError(
             f"{call}: strengths = {strengths!r} names no part; pass those of one or more."
@@ -42,16 +346,26 @@ def checked_strengths(
     return found
 
 
-def checked_factors(
-    call: str, factors: Mapping[str, float] | None, loads: Iterable[str]
-) -> dict[str, float]:
-    """Checked partial factors of the strengths, by the names of the acting loads."""
-    given = {} if factors is None else factors
-    checks.collection(f"{call}: factors", given, Mapping, '{"snow": 1.6}')
-    known = {name: name for name in loads}
+def _check_units(what: str, pair: Strengths, materials: Iterable[Any]) -> None:
+    """Refuse strengths at which none of the materials would break at a possible strain."""
+    laws = [x.stiffness for x in materials if hasattr(x, "stiffness")]
+    strains = [min(pair) / max(law[0, 0], law[1, 1]) for law in laws]
+    low, high = BREAKS_AT
+    if strains and not any(low <= strain <= high for strain in strains):
+        raise InputError(
+            f"{what} = {pair!r} means that the fabric breaks at a strain of {strains[0]:.2g}; have "
+            "strength and stiffness the same units? 84 kN/m is 4200 N per 5 cm."
+        )
+
+
+def checked_cables(call: str, cables: Any) -> dict[str, float | CableDesign]:
+    """Checked design values of cables by name, or under `ALL` those of all."""
+    given = {} if cables is None else cables if isinstance(cables, Mapping) else {ALL: cables}
     return {
-        checks.named("load", known, name): checks.positive(f"{call}: factor of {name!r}", value)
-        for name, value in given.items()
+        name: one
+        if isinstance(one, CableDesign)
+        else checks.positive(f"{call}: strength of the cable {name!r}", one)
+        for name, one in given.items()
     }
 
 

@@ -13,6 +13,7 @@ from crms_fenicsx.foundation.runtime.arrays import Array, floats
 from crms_fenicsx.foundation.runtime.checks import span
 from crms_fenicsx.model.cable import Clamp
 from crms_fenicsx.model.laid_cable import CableEnd, LaidCable
+from crms_fenicsx.model.strengths import SERVICE
 
 Force = tuple[float, float, float]
 
@@ -44,6 +45,9 @@ class CableResults:
     start, end
         Forces of the anchors on the ends (force); None at an end tied to the membrane or fixed to a
         joint.
+    strength
+        Design value of the tension in this limit state (force), see `Scene.set_strengths`; None if
+        unknown.
     """
 
     name: str
@@ -58,6 +62,12 @@ class CableResults:
     contact_largest: float
     start: Force | None
     end: Force | None
+    strength: float | None = None
+
+    @property
+    def utilisation(self) -> float | None:
+        """Largest tension over the strength; None if that is unknown."""
+        return None if self.strength is None else self.largest / self.strength
 
     def __repr__(self) -> str:
         """One line."""
@@ -91,6 +101,7 @@ def cable_results(scene: Scene) -> dict[str, CableResults]:
             largest,
             _reaction(cable, cable.start),
             _reaction(cable, cable.end),
+            scene.design.of_cable(cable.name, scene.case.state),
         )
     return found
 
@@ -132,7 +143,7 @@ class BarResults:
     buckling
         Euler load (force); None if unknown.
     utilisation
-        Utilisation of the strength; None if unknown.
+        Utilisation of the strength; None if unknown, or in a serviceability limit state.
     """
 
     name: str
@@ -146,9 +157,16 @@ class BarResults:
 
 def bar_results(scene: Scene) -> dict[str, BarResults]:
     """Results of a scene's bars by name."""
+    judged = scene.case.state not in SERVICE
     return {
         bar.name: BarResults(
-            bar.name, bar.force, bar.slack, bar.length, bar.L0, bar.buckling, bar.utilisation
+            bar.name,
+            bar.force,
+            bar.slack,
+            bar.length,
+            bar.L0,
+            bar.buckling,
+            bar.utilisation if judged else None,
         )
         for bar in scene.bars
     }

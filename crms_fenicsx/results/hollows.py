@@ -54,11 +54,14 @@ class Hollows:
     hollows: tuple[Hollow, ...]
     of_points: Integers  # hollow of each of this rank's points, -1 for none
     plan: float  # plan area of the surface (length squared)
+    # least mean slope (degrees) of the ways of water from vertices off the membrane, and where;
+    # None if not asked for, or without such a way
+    least: tuple[float, Force] | None = None
 
 
-def find_hollows(net: CableNet) -> Hollows:
+def find_hollows(net: CableNet, drainage: bool = False) -> Hollows:
     """Find the hollows of the current surface where it faces up; water drains over its edges and
-    where it overhangs. Collective."""
+    where it overhangs. With the least slope of its drainage if that is asked for. Collective."""
     membrane, comm = net.membrane, net.membrane.comm
     # shallower ones do not count
     shallow = 1e-5 * membrane.size  # collective
@@ -70,7 +73,7 @@ def find_hollows(net: CableNet) -> Hollows:
     if whole is not None:
         points, triangles = np.asarray(whole.points), np.asarray(whole.triangles)
         on_rim = np.asarray(whole.point_data["rim"]) > 0.0
-        found = _hollows_of(points, triangles, on_rim, shallow)
+        found = _hollows_of(points, triangles, on_rim, shallow, drainage)
     found = cast(Hollows, comm.bcast(found))
     homes = np.asarray(piece.homes)
     counts = comm.allgather(int(np.count_nonzero(homes[:, 0] == comm.rank)))
@@ -78,7 +81,9 @@ def find_hollows(net: CableNet) -> Hollows:
     return replace(found, of_points=found.of_points[starts[homes[:, 0]] + homes[:, 1]])
 
 
-def _hollows_of(points: Array, triangles: Integers, rim: Booleans, shallow: float) -> Hollows:
+def _hollows_of(
+    points: Array, triangles: Integers, rim: Booleans, shallow: float, drainage: bool = False
+) -> Hollows:
     """Hollows of points (n, 3) and triangles (m, 3); `rim`: which points lie on the surface's edge.
     Units: shallow (length)."""
     from scipy.sparse import csgraph
@@ -118,7 +123,41 @@ def _hollows_of(points: Array, triangles: Integers, rim: Booleans, shallow: floa
     found.sort(key=lambda one: (-one[0].depth, one[0].at))
     for k, (_, inside) in enumerate(found):
         of_points[inside] = k
-    return Hollows(tuple(hollow for hollow, _ in found), of_points, plan)
+    least = None
+    if drainage:  # points where cables pass over the rim lie on it, too
+        single = whole.vertices[whole.counts == 1]
+        beside = np.concatenate([single[leads_out[single[:, k]], 1 - k] for k in (0, 1)])
+        leads_out |= np.bincount(beside, minlength=len(z)) > 1
+        least = _drainage(points, pairs, leads_out)
+    return Hollows(tuple(hollow for hollow, _ in found), of_points, plan, least)
+
+
+def _drainage(points: Array, pairs: Integers, outlets: Booleans) -> tuple[float, Force] | None:
+    """Least mean slope (degrees) of the ways of water from points (n, 3), each along the steepest
+    edges down to an outlet, and its place; 0 where it ends in a hollow."""
+    z = points[:, 2]
+    ends = np.concatenate([pairs, pairs[:, ::-1]])
+    run = np.linalg.norm(np.diff(points[ends][:, :, :2], axis=1)[:, 0], axis=1)
+    run = np.maximum(run, 1e-300)  # along walls
+    down = (z[ends[:, 0]] - z[ends[:, 1]]) / run
+    order = np.lexsort((ends[:, 1], -down, ends[:, 0]))
+    first = order[np.unique(ends[order, 0], return_index=True)[1]]  # the steepest of each point
+    away, low, drains = np.zeros(len(z)), z.copy(), outlets.copy()
+    places = first[np.argsort(z[ends[first, 0]], kind="stable")]
+    for (point, after), slope, length in zip(
+        ends[places].tolist(), down[places].tolist(), run[places].tolist(), strict=True
+    ):
+        if slope > 0.0 and not outlets[point]:
+            away[point], low[point] = away[after] + length, low[after]
+            drains[point] = drains[after]
+    inner = ends[places, 0][~outlets[ends[places, 0]]]
+    if not len(inner):
+        return None
+    steep = (z[inner] - low[inner]) / np.maximum(away[inner], 1e-300)
+    slopes = np.degrees(np.arctan(np.where(drains[inner], steep, 0.0)))
+    k = int(np.argmin(slopes))
+    x, y, height = points[inner[k]].tolist()
+    return float(slopes[k]), (x, y, height)
 
 
 def _water(corners: Array, level: float) -> tuple[float, float]:

@@ -20,7 +20,13 @@ from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices
 from crms_fenicsx.foundation.runtime.checks import counted, span
 from crms_fenicsx.foundation.runtime.errors import InputError
 from crms_fenicsx.model.membrane import Membrane
-from crms_fenicsx.model.strengths import ALL, Strengths, checked_strengths
+from crms_fenicsx.model.strengths import (
+    ALL,
+    LIMIT_STATES,
+    DesignStrength,
+    Strengths,
+    checked_strengths,
+)
 from crms_fenicsx.model.versions import UNBALANCED
 from crms_fenicsx.results.places import PlaceResults, find_places
 from crms_fenicsx.results.quantities import (
@@ -88,8 +94,9 @@ class MembraneResults:
         The membrane of these results.
     in_equilibrium
         Whether the scene was unchanged since its last load step.
-    strength_factor
-        Divisor of the strengths of `Scene.set_strengths` under the present loads.
+    design
+        Design strengths of `Scene.set_strengths` under the present loads, by part; none in
+        serviceability limit states.
     """
 
     strains: Array
@@ -109,7 +116,7 @@ class MembraneResults:
     surface: CurrentSurface
     membrane: Membrane
     in_equilibrium: bool
-    strength_factor: float = 1.0
+    design: Mapping[str, DesignStrength]
 
     def __repr__(self) -> str:
         """One line, for this rank's cells; not collective."""
@@ -130,14 +137,15 @@ class MembraneResults:
         Parameters
         ----------
         strengths
-            Strengths in warp and weft, divided by the partial factors (force per length); one pair,
-            or one per part by name. Of two for isotropic material the smaller one counts. By
-            default those of `Scene.set_strengths`, divided by their factor under the present loads.
+            Design strengths in warp and weft (force per length); one pair, or one per part by name.
+            Of two for isotropic material the smaller one counts. By default those of
+            `Scene.set_strengths` under the present loads.
 
         Returns
         -------
         (n,)
-            0 in slack cells; NaN in cells of parts without strengths.
+            0 in slack cells; NaN in cells of parts without strengths, and everywhere in a
+            serviceability limit state, which strengths do not judge.
 
         Raises
         ------
@@ -149,22 +157,22 @@ class MembraneResults:
         --------
         >>> worst = solver.results().utilisation((84.0, 80.0)).max()
         """
-        given, divided = self.membrane.strengths, self.strength_factor
+        given = self.design
         if strengths is not None:
-            divided = 1.0
-            given = checked_strengths("utilisation", strengths, self.membrane.mesh)
-        elif not given:
+            checked = checked_strengths("utilisation", strengths, self.membrane.mesh)
+            given = {part: one.of(LIMIT_STATES[0], ()) for part, one in checked.items()}
+        elif not self.membrane.strengths:
             raise InputError(
                 "utilisation: there are no strengths; pass them, or call "
                 "scene.set_strengths((warp, weft)) first."
             )
         found = np.full(len(self.state), np.nan)
-        for part, pair in given.items():
+        for part, one in given.items():
             cells = slice(None) if part == ALL else self.parts[part]
-            ratios = (self.warp_weft[cells, :2] / pair).max(axis=1)
-            principal = self.true_forces[cells, 0] / min(pair)
+            ratios = (self.warp_weft[cells, :2] / one.design).max(axis=1)
+            principal = self.true_forces[cells, 0] / min(one.design)
             ratios = np.where(self.membrane.isotropic[cells], principal, ratios)
-            found[cells] = np.maximum(ratios * divided, 0.0)
+            found[cells] = np.maximum(ratios, 0.0)
         return found
 
     @property
@@ -369,7 +377,7 @@ def membrane_results(system: System) -> MembraneResults:
         surface=current_surface(scene.net),
         membrane=scene.membrane,
         in_equilibrium=scene.in_equilibrium(),
-        strength_factor=scene.strength_factor(),
+        design=scene.design.of_fabric(scene.case.state, scene.factors),
     )
 
 

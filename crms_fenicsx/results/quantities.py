@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -130,6 +131,11 @@ QUANTITY_OF |= {name: name for name in ("warp", "weft", "shear", "state", "utili
 """Quantities by their names as colours of `draw`."""
 
 
+def as_counted(name: str) -> list[tuple[str, int]]:
+    """Key that sorts names as people count: "1", "2", "10"."""
+    return [(text, int(digits or -1)) for text, digits in re.findall(r"(\D*)(\d*)", name)]
+
+
 def shown_briefly(names: Collection[str]) -> tuple[str, ...]:
     """The forces that a line of text shows: along warp and weft, or else the principal ones."""
     return ("warp", "weft", "shear") if "warp" in names else ("true force 1", "true force 2")
@@ -199,3 +205,18 @@ def load_values(scene: Scene, name: str) -> Array:
     at = np.linalg.norm(forces, axis=1)[cells].mean(axis=1)
     around = areas[dofs].mean(axis=1)
     return np.asarray(at / around)
+
+
+def load_directions(scene: Scene, name: str) -> Array:
+    """Unit vectors (m, 3) of a load or pond in this rank's cells, 0 where it does not act.
+    Collective."""
+    membrane, own = scene.membrane, scene.mesh.mesh.topology.index_map(2).size_local
+    cells = membrane.V.dofmap.list[:own]
+    load = next((one for one in scene.loads if one.name == name), None)
+    if load is None:
+        return np.tile((0.0, 0.0, -1.0), (own, 1))
+    if load.suction is not None:
+        ways = load.suction[:own, None] * double_areas(membrane.positions()[cells])
+    else:
+        ways = summed(membrane.V, np.arange(len(load.forces)), load.forces)[cells].mean(axis=1)
+    return np.asarray(ways / np.maximum(norm(ways), 1e-300)[:, None])

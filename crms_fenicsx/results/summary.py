@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from mpi4py import MPI
 
 from crms_fenicsx.analysis.equilibrium.system import System
+from crms_fenicsx.analysis.steps.load_cases import Combination, back_to_now
 from crms_fenicsx.cabling.cables.deformed_surface import CurrentSurface
 from crms_fenicsx.foundation.meshes.triangles import double_areas, norm
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices, Integers
 from crms_fenicsx.foundation.runtime.checks import span
 from crms_fenicsx.foundation.runtime.errors import as_text
 from crms_fenicsx.model.membrane_load import Pond
-from crms_fenicsx.model.strengths import ALL
+from crms_fenicsx.model.strengths import ALL, LIMIT_STATES, SERVICE, DesignStrength
 from crms_fenicsx.model.tolerances import SAME_PLACE
 from crms_fenicsx.model.versions import UNBALANCED, StateWarning
 from crms_fenicsx.results.cable_and_bar_results import (
@@ -29,9 +30,10 @@ from crms_fenicsx.results.cable_and_bar_results import (
     joint_reactions,
     triple,
 )
+from crms_fenicsx.results.design_checks import DesignCheck, Extreme, checks_of, in_service
 from crms_fenicsx.results.hollows import Hollow, find_hollows
 from crms_fenicsx.results.membrane_results import MembraneResults, membrane_results
-from crms_fenicsx.results.quantities import SUMMED_UP, shown_briefly
+from crms_fenicsx.results.quantities import SUMMED_UP, Solved, as_counted, shown_briefly
 from crms_fenicsx.results.reactions import (
     HeldEnd,
     ends_at,
@@ -48,25 +50,6 @@ from crms_fenicsx.results.recovered_values import (
     patches,
     reinforced,
 )
-
-
-@dataclass(frozen=True, repr=False)
-class Extreme:
-    """An extreme value.
-
-    Attributes
-    ----------
-    value
-        The value.
-    at
-        Its present place on the surface (length).
-    """
-
-    value: float
-    at: Force
-
-    def __repr__(self) -> str:
-        return f"{self.value:.4g} at ({', '.join(f'{x:.4g}' for x in self.at)})"
 
 
 @dataclass(frozen=True)
@@ -178,8 +161,17 @@ class Summary:
         Warnings of load steps about this state, and of snap-throughs before it.
     clamps
         By name.
-    strength_factor
-        Divisor of the membrane's strengths under the present loads.
+    state
+        Limit state that it is for, of `Solver.combine`.
+    design
+        Design strengths of the fabric in this state, with their factors, by part; none in
+        serviceability limit states, and without `Scene.set_strengths`.
+    deflection
+        Largest displacement from the state in operation, in which `Solver.combine` was called
+        (length); None elsewhere.
+    checks
+        Effects against the design values and limits of `Scene.set_strengths`, `Scene.set_limits`
+        and bars.
     hollows
         Hollows without drainage, the deepest first: place, depth and volume of the water in this
         shape, ignoring the deflection under it; see `Solver.check_ponding`.
@@ -202,7 +194,10 @@ class Summary:
     in_equilibrium: bool
     warnings: tuple[StateWarning, ...] = ()
     clamps: Mapping[str, ClampResults] = field(default_factory=dict)
-    strength_factor: float = 1.0
+    state: str = LIMIT_STATES[0]
+    design: Mapping[str, DesignStrength] = field(default_factory=dict)
+    deflection: Extreme | None = None
+    checks: tuple[DesignCheck, ...] = ()
     hollows: tuple[Hollow, ...] = ()
     patches: Mapping[str, PatchSummary] = field(default_factory=dict)
 
@@ -214,6 +209,8 @@ class Summary:
             ("energy", "", f"{self.energy:.6g}"),
             ("displacement", "", repr(self.displacement)),
         ]
+        if self.deflection is not None:
+            rows.append(("deflection", self.state, repr(self.deflection)))
         rows = rows if self.in_equilibrium else [("state", "", UNBALANCED), *rows]
         for name, part in self.parts.items():
             shown = [*shown_briefly(part.least)[:2], *({"utilisation"} & part.least.keys())]
@@ -233,6 +230,7 @@ class Summary:
             rows.append(("support", name, f"total {as_text(support.total)}"))
         rows += [("reinforcement", name, repr(one)) for name, one in self.patches.items()]
         rows += [("rain stands", "", repr(hollow)) for hollow in self.hollows]
+        rows += [("check", "" if x.passed else "not passed", repr(x)) for x in self.checks]
         rows += [("warning", one.kind, one.text) for one in self.warnings]
         wide = max(len(name) for _, name, _ in rows)
         return "\n".join(f"{kind:<14}{name:<{wide}}  {text}" for kind, name, text in rows)
@@ -248,29 +246,122 @@ class Summary:
         return self.supports[ALL_SUPPORTS].total
 
 
+@dataclass(frozen=True, repr=False)
+class DesignTable:
+    """The checks that govern, of `Solver.judge`.
+
+    Attributes
+    ----------
+    rows
+        Limit state, combination and check with the largest share, for each limit state, subject and
+        member, in the order of the combinations.
+    unjudged
+        What has no design value in a combination that strengths judge: "fabric", "cable A1", "bar
+        mast" (of a compressed one also the buckling curve).
+    warnings
+        Combinations whose states are doubtful, and the warning, such as of a snap-through.
+    """
+
+    rows: tuple[tuple[str, str, DesignCheck], ...]
+    unjudged: tuple[str, ...] = ()
+    warnings: tuple[tuple[str, str], ...] = ()
+
+    @classmethod
+    def of(cls, summaries: Mapping[str, Summary]) -> DesignTable:
+        """The table of summaries by combination."""
+        most: dict[tuple[str, str, str], tuple[str, str, DesignCheck]] = {}
+        for name, one in summaries.items():
+            for check in one.checks:
+                key = one.state, check.what, check.member
+                if key not in most or check.share > most[key][2].share:
+                    most[key] = one.state, name, check
+        rows = sorted(most.values(), key=lambda row: LIMIT_STATES.index(row[0]))
+        judged = [one for one in summaries.values() if one.state not in SERVICE]
+        without = dict.fromkeys(name for one in judged for name in _without_design(one))
+        told = [(name, str(x)) for name, one in summaries.items() for x in one.warnings]
+        return cls(tuple(rows), tuple(without), tuple(told))
+
+    @property
+    def passed(self) -> bool:
+        """Whether all checks pass, in states without warnings."""
+        return not self.warnings and all(check.passed for *_, check in self.rows)
+
+    @property
+    def governing(self) -> tuple[str, str, DesignCheck] | None:
+        """The row with the largest share; None without any."""
+        rows = self.rows
+        return max(rows, key=lambda row: row[2].share) if rows else None
+
+    def __repr__(self) -> str:
+        """A table grouped by limit state."""
+        lines, last = [], ""
+        for state, name, check in self.rows:
+            lines += [] if state == last else [state]
+            last = state
+            mark = "" if check.passed else "  NOT PASSED"
+            lines.append(f"  {check!r}, {name.removeprefix(f'{state}: ')}{mark}")
+        lines += [f"not judged: {', '.join(self.unjudged)}"] if self.unjudged else []
+        lines += [f"doubtful: {name}: {warning}" for name, warning in self.warnings]
+        return "\n".join(lines) or "no checks: set strengths or limits"
+
+
+def _without_design(found: Summary) -> Iterator[str]:
+    """Fabric, cables and bars of a state without a design value."""
+    if "utilisation" not in found.parts[ALL].largest:
+        yield "fabric"
+    yield from (f"cable {one.name}" for one in found.cables.values() if one.strength is None)
+    yield from (f"bar {one.name}" for one in found.bars.values() if one.utilisation is None)
+
+
+def judged(solver: Solved, combinations: Mapping[str, Combination]) -> DesignTable:
+    """The table of combinations; the scene's state is restored. Collective."""
+    found = {}
+    with back_to_now(solver):
+        for name, one in combinations.items():
+            solver.restore(one.snapshot)
+            found[name] = summary(solver.system)
+    return DesignTable.of(found)
+
+
 ALL_SUPPORTS, OTHER_SUPPORTS = "all supports", "other supports"
 
 
 def summary(system: System) -> Summary:
     """Summarise the scene's present state. Collective."""
+    found, results = _without_checks(system)
+    scene = system.scene
+    extremes = {
+        key: extreme(scene.comm, values, at, largest=key[0] == "deflection")
+        for key, (values, at) in sorted(in_service(scene, results).items())
+    }
+    found = replace(found, deflection=extremes.get(("deflection", ALL)))
+    return replace(found, checks=checks_of(scene, results, found, extremes))
+
+
+def _without_checks(system: System) -> tuple[Summary, MembraneResults]:
+    """The summary of the present state without its checks, and the membrane's results.
+    Collective."""
     scene, results = system.scene, membrane_results(system)
     places = results.surface.points  # includes cable points on folded cells
     moved = places - results.surface.stress_free
     centres = _centres(results.surface, len(results.state))
     corners, used = dict[str, Patch](), None
-    if scene.membrane.strengths:
+    if results.design:
         corners = patches(scene)
         used = judged_utilisation(results, corners)
     parts = {ALL: _part(results, centres, used, None)}
     if len(results.parts) > 1:
-        parts |= {name: _part(results, centres, used, name) for name in sorted(results.parts)}
-    return Summary(
+        parts |= {
+            name: _part(results, centres, used, name)
+            for name in sorted(results.parts, key=as_counted)
+        }
+    found = Summary(
         scene.pressure,
         scene.factors,
         scene.energy,
-        _extreme(scene.comm, np.linalg.norm(moved, axis=1), places, largest=True),
-        _extreme(scene.comm, moved[:, 2], places, largest=False),
-        _extreme(scene.comm, moved[:, 2], places, largest=True),
+        extreme(scene.comm, np.linalg.norm(moved, axis=1), places, largest=True),
+        extreme(scene.comm, moved[:, 2], places, largest=False),
+        extreme(scene.comm, moved[:, 2], places, largest=True),
         parts,
         cable_results(scene),
         _supports(system),
@@ -280,10 +371,12 @@ def summary(system: System) -> Summary:
         results.in_equilibrium,
         scene.warnings,
         clamp_results(scene),
-        results.strength_factor,
-        find_hollows(scene.net).hollows,
-        {} if used is None else _patch_summaries(results, used, corners),
+        scene.case.state,
+        results.design,
+        hollows=find_hollows(scene.net).hollows,
+        patches={} if used is None else _patch_summaries(results, used, corners),
     )
+    return found, results
 
 
 def _patch_summaries(
@@ -315,8 +408,8 @@ def _part(
             places = results.surface.points[vertices].reshape(-1, 3)
             values = used.judged[cells].ravel()
         if comm.allreduce(int(np.isfinite(values).sum())):
-            least[one] = _extreme(comm, values, places, largest=False)
-            largest[one] = _extreme(comm, values, places, largest=True)
+            least[one] = extreme(comm, values, places, largest=False)
+            largest[one] = extreme(comm, values, places, largest=True)
     if used is not None and "utilisation" in largest:
         change = _change(results, used, cells, largest["utilisation"])
     area = comm.allreduce(float(results.stress_free_areas[cells].sum()))
@@ -347,7 +440,7 @@ def _centres(surface: CurrentSurface, n: int) -> Array:
     return np.asarray(corners[order[largest]].mean(axis=1))
 
 
-def _extreme(comm: MPI.Intracomm, values: Array, places: Array, *, largest: bool) -> Extreme:
+def extreme(comm: MPI.Intracomm, values: Array, places: Array, *, largest: bool) -> Extreme:
     """Largest or least value on all ranks, ties broken by the least place; NaN ignored."""
     sign = 1.0 if largest else -1.0
     own = (-np.inf, (0.0, 0.0, 0.0))

@@ -237,6 +237,15 @@ def scenes(scene: Scene, other: Scene, solver: Solver, cable: LaidCable) -> list
             {"force": (*NO_VECTORS, None, *fields)},
         ),
         Call(
+            "put_cable_load",
+            scene.put_cable_load,
+            {"force": UP, "cables": [cable]},
+            {
+                "force": (3.0, "x", [1.0], (0.0, 0.0, NAN)), "cables": (3, "x", [], ["x"]),
+                "name": ("", 3), "unknown": (1,),
+            },
+        ),
+        Call(
             "put_line_load",
             scene.put_line_load,
             {"force": UP, "edges": "left"},
@@ -356,6 +365,17 @@ def scenes(scene: Scene, other: Scene, solver: Solver, cable: LaidCable) -> list
                     (1.0, 2.0, 3.0), {"unknown": (1.0, 2.0)}, {},
                 ),
                 "patches": (-1.0, NAN, "x", [1.0], {"unknown": 1.0}),
+                "cables": (0.0, NAN, "x", [1.0], {"cable 1": -1.0}),
+            },
+        ),
+        Call(
+            "set_limits",
+            other.set_limits,
+            {},
+            {
+                "deflection": (0.0, NAN, "x", {"unknown": 1.0}), "water": (-1.0, NAN, "x"),
+                "prestress": (0.0, NAN, "x", {"unknown": 1.0}), "slope": (0.0, NAN, 90.0, "x"),
+                "unknown": (1,),
             },
         ),
         Call(

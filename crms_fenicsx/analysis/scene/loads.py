@@ -14,11 +14,19 @@ from crms_fenicsx.cabling.cables.cable_net import CableNet
 from crms_fenicsx.cabling.cables.deformed_surface import gained_volume
 from crms_fenicsx.foundation.meshes.triangles import norm
 from crms_fenicsx.foundation.runtime import checks
-from crms_fenicsx.foundation.runtime.arguments import Finite, Name, PerRank, Positive, collective
+from crms_fenicsx.foundation.runtime.arguments import (
+    Finite,
+    Name,
+    PerRank,
+    Positive,
+    Vector,
+    collective,
+)
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.foundation.runtime.errors import InputError
 from crms_fenicsx.foundation.runtime.handle import ReadOnly, Stateful
 from crms_fenicsx.model.bar import Joint
+from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.model.membrane_load import (
     Area,
@@ -26,6 +34,7 @@ from crms_fenicsx.model.membrane_load import (
     MembraneLoad,
     Pond,
     Traction,
+    cable_load,
     fixed_direction_load,
     line_load,
     nodal_load,
@@ -33,10 +42,8 @@ from crms_fenicsx.model.membrane_load import (
     wind_load,
 )
 from crms_fenicsx.model.sealed_air import SealedAir
+from crms_fenicsx.model.strengths import SETTINGS
 from crms_fenicsx.model.versions import Versions, changes_model
-
-AIR = ("pressure", "temperature", "atmosphere")
-"""Names of the air's quantities in combinations and `Solver.advance`, hence no names of loads."""
 
 
 @dataclass(frozen=True)
@@ -219,6 +226,42 @@ class Loads(Stateful[LoadsState]):
         self.add(line_load(self.membrane, force, edges, name))
 
     @collective
+    def put_cable_load(
+        self, force: Vector, cables: Sequence[LaidCable], *, name: Name = "cable load"
+    ) -> None:
+        """Put a load along cables, such as their weight, ice or wind on them. Collective.
+
+        It acts on the fabric where the cables lie at the time of the call, half of the length
+        between two contacts at each, and on joints at their ends; the share of anchors goes into
+        the ground and is not in their reactions. The forces keep their direction, size and place,
+        also where a cable slides on. A slack cable loads the fabric, too.
+
+        Parameters
+        ----------
+        force
+            Force per current length, (3,) (force / length).
+        cables
+            Cables of this scene.
+        name
+            Name in load steps and results.
+
+        Raises
+        ------
+        InputError
+            On all ranks: a force that is not finite, no cables, or a name that is taken.
+
+        Examples
+        --------
+        >>> scene.put_cable_load((0.0, 0.0, -0.012), [ridge], name="cable weight")
+        >>> solver.advance(load={"cable weight": 1.35})
+        """
+        self._check_new("put_cable_load", name)
+        checks.collection("put_cable_load: cables", cables, Sequence, "scene.cables", 1)
+        for cable in cables:
+            checks.of_type("put_cable_load: a cable", cable, LaidCable)
+        self.add(cable_load(self.membrane, cables, np.asarray(force, dtype=float), name))
+
+    @collective
     def put_joint_load(self, forces: Mapping[Joint, Place], *, name: Name = "joint load") -> None:
         """Put forces on joints; `Solver.advance` applies them by their factor. Collective.
 
@@ -355,9 +398,10 @@ class Loads(Stateful[LoadsState]):
     def _check_new(self, call: str, name: str) -> None:
         """Refuse a name that is taken, and a shape that is not finite. Collective."""
         self.membrane.check_finite(call)
-        if name in AIR:
+        if name in SETTINGS:
             raise InputError(
-                f"{call}: name = {name!r} belongs to the air; use another name, such as 'snow'."
+                f"{call}: name = {name!r} means another thing in combinations; use another name, "
+                "such as 'snow'."
             )
         if name in self.factors:
             raise InputError(

@@ -10,14 +10,21 @@ from typing import Any, Concatenate, Literal, ParamSpec, TypeVar
 from dolfinx import fem
 from mpi4py import MPI
 
+from crms_fenicsx.analysis.scene.design import Design
 from crms_fenicsx.analysis.scene.frame import Frame
 from crms_fenicsx.analysis.scene.loads import Air, Loads
-from crms_fenicsx.analysis.scene.state import SceneState
+from crms_fenicsx.analysis.scene.state import LoadCase, SceneState
 from crms_fenicsx.cabling.cables.cable_net import CableNet
 from crms_fenicsx.energy.terms.term import EnergyTerm, checked_energy
 from crms_fenicsx.foundation.meshes import MembraneMesh
 from crms_fenicsx.foundation.runtime import checks
-from crms_fenicsx.foundation.runtime.arguments import Finite, PerRank, Positive, Whole, collective
+from crms_fenicsx.foundation.runtime.arguments import (
+    Finite,
+    PerRank,
+    Positive,
+    Whole,
+    collective,
+)
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices
 from crms_fenicsx.foundation.runtime.checks import counted, span
 from crms_fenicsx.foundation.runtime.errors import InputError, raised_together
@@ -30,7 +37,6 @@ from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.materials import MembraneMaterial
 from crms_fenicsx.model.membrane import Marker, Membrane, StepHistory, warn_of_penalty
 from crms_fenicsx.model.membrane_load import Pond
-from crms_fenicsx.model.strengths import Strengths, checked_factors, checked_strengths, patch_radii
 from crms_fenicsx.model.versions import UNBALANCED, StateWarning, Versions, changes_model
 
 ANOTHER = "make another Scene(...)"
@@ -136,6 +142,8 @@ class Scene:
         "_air", "call solver.advance(pressure=...) or scene.air.seal(...)"
     )
     """The air under the membrane."""
+    design: ReadOnly[Design] = ReadOnly("_design", "call scene.set_strengths(...)")
+    """Design values and limits that judge the results."""
     frame: ReadOnly[Frame] = ReadOnly("_frame", "call scene.add_bar(...)")
     """Bars and their joints."""
     cables: ReadOnly[tuple[LaidCable, ...]] = ReadOnly(
@@ -172,6 +180,9 @@ class Scene:
     )
     """Penalty coefficient, as given to the scene; None with a factor."""
 
+    case: ReadOnly[LoadCase] = ReadOnly("_case", "call solver.combine(...)")
+    """What the state is for: its limit state, and the state in operation before its loads."""
+
     factors: ReadOnly[dict[str, float]] = ReadOnly("loads.factors", "call solver.advance(load=...)")
     """Current factors of loads and ponds, by name."""
     ponds: ReadOnly[tuple[Pond, ...]] = ReadOnly("loads.ponds", "call scene.put_pond(...)")
@@ -184,6 +195,7 @@ class Scene:
     put_wind = of_part("loads", Loads.put_wind)
     put_forces = of_part("loads", Loads.put_forces)
     put_line_load = of_part("loads", Loads.put_line_load)
+    put_cable_load = of_part("loads", Loads.put_cable_load)
     put_joint_load = of_part("loads", Loads.put_joint_load)
     put_pond = of_part("loads", Loads.put_pond)
     load = of_part("loads", Loads.load)
@@ -195,6 +207,8 @@ class Scene:
     add_bar = of_part("frame", Frame.add_bar)
     bar = of_part("frame", Frame.bar)
     joint = of_part("frame", Frame.joint)
+    set_strengths = of_part("design", Design.set_strengths)
+    set_limits = of_part("design", Design.set_limits)
 
     @collective
     def __init__(
@@ -222,11 +236,13 @@ class Scene:
         self._frame = Frame(self.membrane, self.versions)
         self._loads = Loads(self.membrane, self.versions, self.frame)
         self._air = Air(self.net, self.versions, pressure)
+        self._design = Design(self.membrane, self.frame)
         self._floor_level: float | None = None
         self._terms: tuple[EnergyTerm, ...] = ()
         self._energies: Mapping[str, float] = {}
         self._warnings: tuple[StateWarning, ...] = ()
         self._step_history: StepHistory | None = None
+        self._case = LoadCase()
 
     @property
     def state(self) -> SceneState:
@@ -235,7 +251,7 @@ class Scene:
         return SceneState(
             **parts, floor=self.floor_level, energies=self.energies, warnings=self.warnings,
             step_history=self.step_history, terms=self.terms, version=self.versions.current,
-            scene=self,
+            scene=self, case=self.case,
         )  # fmt: skip
 
     @state.setter
@@ -245,6 +261,7 @@ class Scene:
         self._floor_level, self._terms = state.floor, state.terms
         self._energies, self._warnings = state.energies, state.warnings
         self._step_history, self.versions.current = state.step_history, state.version
+        self._case = state.case
 
     def record(
         self,
@@ -252,8 +269,10 @@ class Scene:
         energies: Mapping[str, float] | None = None,
         warnings: tuple[StateWarning, ...] | None = None,
         step_history: StepHistory | None = None,
+        case: LoadCase | None = None,
     ) -> None:
-        """Take over results of a load step besides the states of the parts."""
+        """Take over results of a load step besides the states of the parts, or what it is for."""
+        self._case = self._case if case is None else case
         self._energies = self._energies if energies is None else dict(energies)
         self._warnings = self._warnings if warnings is None else warnings
         self._step_history = self._step_history if step_history is None else step_history
@@ -783,57 +802,6 @@ class Scene:
                 one.update(cable=replace(one.cable, EA=float(stiffness)))
             else:
                 one.update(bar=replace(one.bar, EA=float(stiffness)))
-
-    @collective
-    def set_strengths(
-        self,
-        strengths: Strengths | Mapping[str, Strengths],
-        *,
-        factors: Mapping[str, float] | None = None,
-        patches: float | Mapping[str, float] | None = None,
-    ) -> None:
-        """Set the fabric's strengths, for the utilisation in results, files and reports.
-
-        They replace earlier ones, do not change the equilibrium and are not in checkpoints.
-
-        Parameters
-        ----------
-        strengths
-            Design strengths in warp and weft, divided by the partial factors (force per length; of
-            isotropic material the smaller counts): one pair, or one per part; others have none.
-        factors
-            Divisors of the strengths for the duration and temperature of loads, by the names of
-            existing loads and ponds. The largest of those that act counts, 1 without any.
-        patches
-            Radii on the stress-free membrane of the reinforcement around its corners (length), by
-            group of points, or one for all corners. Within them the strengths of the plain fabric
-            do not judge; 0: none. By default a twentieth of the distance to the next corner.
-            Corners are point supports, ends of bars, ends of cables on free fabric, ends of held
-            edges, re-entrant corners of free edges, and the named points: section forces there
-            grow without limit as cells become finer.
-
-        Raises
-        ------
-        InputError
-            On all ranks: an unknown part, load or group of points, overlapping parts, strengths or
-            factors that are not positive, or a negative radius.
-
-        Examples
-        --------
-        >>> scene.set_strengths({"roof": (84.0, 80.0), "wall": (60.0, 57.0)})
-        >>> scene.set_strengths((84.0, 80.0), factors={"snow": 1.6, "summer wind": 1.2})
-        >>> scene.set_strengths((84.0, 80.0), patches={"mast head": 0.6, "low point": 0.4})
-        """
-        divided = checked_factors("set_strengths", factors, self.factors)
-        if isinstance(strengths, Mapping):
-            strengths = checks.in_one_order(self.comm, strengths)
-        found = checked_strengths("set_strengths", strengths, self.membrane.mesh)
-        self.membrane.patches = patch_radii("set_strengths", patches, self.membrane.mesh)
-        self.membrane.strengths, self.membrane.strength_factors = found, divided
-
-    def strength_factor(self) -> float:
-        """Divisor of the strengths under the current loads, see `set_strengths`."""
-        return self.membrane.strength_factor(self.factors)
 
     def in_equilibrium(self) -> bool:
         """Whether nothing has changed since the last load step. Collective."""

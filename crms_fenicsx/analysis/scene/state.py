@@ -18,10 +18,19 @@ from crms_fenicsx.energy.terms.term import EnergyTerm
 from crms_fenicsx.foundation.runtime.arrays import UNSAVED, Array
 from crms_fenicsx.foundation.runtime.checks import counted, span
 from crms_fenicsx.model.membrane import MembraneState, StepHistory
+from crms_fenicsx.model.strengths import LIMIT_STATES
 from crms_fenicsx.model.versions import StateWarning, Version
 
 if TYPE_CHECKING:
     from crms_fenicsx.cabling.paths.tried_paths import TriedPaths
+
+
+@dataclass(frozen=True)
+class LoadCase:
+    """What a state of a scene is for, which says how it is judged."""
+
+    state: str = LIMIT_STATES[0]  # limit state
+    base: SceneState | None = None  # in operation, before the loads of a combination; None: unknown
 
 
 @dataclass(frozen=True, repr=False)
@@ -53,6 +62,7 @@ class SceneState:
     version: Annotated[Version, UNSAVED]
     scene: Annotated[object, UNSAVED]  # the `Scene` of this state
     tried: Annotated[TriedPaths | None, UNSAVED] = None  # paths tried by a solver; in snapshots
+    case: Annotated[LoadCase, UNSAVED] = LoadCase()
 
     @property
     def u(self) -> Array:

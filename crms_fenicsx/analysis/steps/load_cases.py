@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 from crms_fenicsx.analysis.scene import Scene
-from crms_fenicsx.analysis.scene.loads import AIR
-from crms_fenicsx.analysis.scene.state import SceneState
+from crms_fenicsx.analysis.scene.state import LoadCase, SceneState
 from crms_fenicsx.analysis.steps.loading import checked_target
 from crms_fenicsx.analysis.steps.step_record import Step
+from crms_fenicsx.energy.terms.residual_stress import ResidualStress
 from crms_fenicsx.foundation.runtime import checks
-from crms_fenicsx.foundation.runtime.errors import InputError
+from crms_fenicsx.foundation.runtime.arrays import floats
+from crms_fenicsx.foundation.runtime.errors import ConvergenceError, InputError
 from crms_fenicsx.foundation.runtime.handle import ReadOnly
+from crms_fenicsx.model.bar import PlacedBar
+from crms_fenicsx.model.changed_materials import numbers, with_numbers
+from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.model.strengths import AIR, LIMIT_STATES, SERVICE, SETTINGS
 
 
 @dataclass(frozen=True)
@@ -30,13 +35,18 @@ class Combination:
     snapshot
         Final state; pass it to `Solver.restore` to draw it or evaluate results.
     base
-        State that the combination started from.
+        State that the combination started from: the structure in operation.
     """
 
     name: str
     step: Step
     snapshot: SceneState
     base: SceneState
+
+    @property
+    def state(self) -> str:
+        """Limit state, such as "ULS" or "characteristic"."""
+        return self.snapshot.case.state
 
 
 class HasStates(Protocol):
@@ -49,6 +59,17 @@ class HasStates(Protocol):
 
     def restore(self, snapshot: SceneState) -> None:
         """Restore a state of the scene."""
+
+
+class Combines(HasStates, Protocol):
+    """Interface of `Solver` with load steps."""
+
+    def branch(self, name: str) -> AbstractContextManager[SceneState]:
+        """Load steps after which the state is restored."""
+
+    @property
+    def advance(self) -> Callable[..., Step]:
+        """Load steps."""
 
 
 @contextmanager
@@ -80,21 +101,118 @@ def checked_states(
     return checks.in_one_order(scene.comm, found)
 
 
+@dataclass(frozen=True)
+class Given:
+    """A combination as given: what its names say besides load factors."""
+
+    air: dict[str, Any]  # pressure, temperature and atmosphere that change
+    factors: dict[str, float] | None  # of the loads; None if it has none
+    state: str  # limit state
+    prestress: float  # its partial factor
+    without: tuple[str, ...]  # names of cables and bars that are missing
+
+
+def given_by(scene: Scene, name: str, combination: Mapping[str, Any]) -> Given:
+    """Read a combination, and refuse what is not one."""
+    state = combination.get("state", LIMIT_STATES[0])
+    checks.one_of(f"combine: {name!r}: state", state, LIMIT_STATES)
+    factor = combination.get("prestress", 1.0)
+    prestress = checks.positive(f"combine: {name!r}: prestress", factor)
+    without = combination.get("without", ())
+    checks.collection(f"combine: {name!r}: without", without, Sequence, 'without=["A5"]')
+    known = dict.fromkeys([*(x.name for x in scene.cables), *(x.name for x in scene.bars)])
+    for one in without:
+        checks.named("cable or bar", known, one)
+    if prestress != 1.0:
+        check_prestress(scene, f"combine: {name!r}")
+    loads = {load: x for load, x in combination.items() if load not in SETTINGS}
+    air = {one: combination[one] for one in AIR if one in combination}
+    if prestress != 1.0 and scene.pressure != 0.0 and scene.air.sealed is None:
+        air.setdefault("pressure", prestress * scene.pressure)
+    return Given(air, loads or None, state, prestress, tuple(without))
+
+
 def check_combinations(scene: Scene, combinations: Mapping[str, Mapping[str, Any]]) -> None:
     """Refuse combinations that cannot be applied; see `Solver.combine`."""
     example = '{"weight": 1.35, "snow": 1.5}'
     checks.collection("combine: combinations", combinations, Mapping, f'{{"snow": {example}}}', 1)
-    for name, given in combinations.items():
+    for name, one in combinations.items():
         checks.text("combine: a name", name)
-        checks.collection(f"combine: {name!r}", given, Mapping, example)
-        air, factors = split(given)
+        checks.collection(f"combine: {name!r}", one, Mapping, example)
+        given = given_by(scene, name, one)
         try:
-            checked_target(scene, load=factors, **air)
+            checked_target(scene, load=given.factors, **given.air)
         except InputError as error:
             raise InputError(f"combine: {name!r}: {error}") from None
+        acting = [load for load, x in (scene.factors | (given.factors or {})).items() if x]
+        if given.state not in SERVICE:
+            for fabric in scene.membrane.strengths.values():
+                fabric.check_loads(f"combine: {name!r}", given.state, acting)
 
 
-def split(given: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, float] | None]:
-    """Air settings of a combination, and its load factors (None if it has none)."""
-    factors = {load: factor for load, factor in given.items() if load not in AIR}
-    return {name: given[name] for name in AIR if name in given}, factors or None
+def combined(
+    solver: Combines, combinations: Mapping[str, Mapping[str, Any]], steps: int
+) -> dict[str, Combination]:
+    """Apply checked combinations, each from the current state; see `Solver.combine`. Collective."""
+    found, scene = dict[str, Combination](), solver.scene
+    for name, combination in checks.in_one_order(scene.comm, combinations).items():
+        given = given_by(scene, name, combination)
+        with solver.branch(name) as start:
+            base = next((one.base for one in found.values()), start)  # equal, so kept once
+            scene.record(case=LoadCase(given.state, base))
+            L0 = prepare(scene, given)
+            try:
+                step = solver.advance(load=given.factors, L0=L0, steps=steps, **given.air)
+            except ConvergenceError as error:
+                raise ConvergenceError(f"combination {name!r}: {error}") from None
+            found[name] = Combination(name, step, solver.snapshot(), base)
+    return found
+
+
+def check_prestress(scene: Scene, call: str) -> None:
+    """Refuse a factor of a prestress that is not that of materials, cables and bars."""
+    why = ""
+    if scene.membrane.frames is not None:
+        why = "the fabric's prestress follows from its cutting pattern"
+    elif not all("prestress" in numbers(one) for one in scene.materials.values()):
+        why = "the fabric's energy density is your own"
+    elif "step" in (scene.strain_law, *(cable.cable.law for cable in scene.cables)):
+        why = "step-wise laws have no unstressed lengths"
+    if why:
+        raise InputError(
+            f"{call}: prestress cannot be scaled: {why}; make a scene for each prestress and "
+            "combine in both."
+        )
+
+
+def prepare(scene: Scene, given: Given) -> dict[object, float]:
+    """Remove what is missing and scale the fabric's prestress; return the unstressed lengths with
+    which cables and bars have the scaled forces at their present lengths. Collective."""
+    for name in given.without:
+        if any(cable.name == name for cable in scene.cables):
+            scene.remove(name)
+        else:
+            scene.remove_bar(name)
+    factor, forces = given.prestress, dict[LaidCable | PlacedBar, float]()
+    if factor == 1.0:
+        return {}
+    materials = scene.membrane.materials
+    for number, one in materials.items():
+        scaled = factor * one.prestress_vector[:2]
+        materials[number] = with_numbers(one, numbers(one) | {"prestress": floats(scaled)})
+    terms = [
+        ResidualStress(one.u, factor * one.section_forces)
+        if isinstance(one, ResidualStress) and one.section_forces is not None
+        else one
+        for one in scene.terms
+    ]
+    scene.state = replace(scene.state, terms=tuple(terms))
+    scene.versions.change_model()
+    for cable in scene.cables:
+        forces[cable] = cable.tension / cable.cable.EA
+    for bar in scene.bars:
+        forces[bar] = bar.force / bar.bar.EA
+    return {
+        one: one.L0 * (1.0 + strain) / (1.0 + factor * strain)
+        for one, strain in forces.items() if strain
+    }  # fmt: skip

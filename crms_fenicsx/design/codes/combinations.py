@@ -9,6 +9,7 @@ from itertools import product
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arguments import checked
 from crms_fenicsx.foundation.runtime.errors import InputError
+from crms_fenicsx.model.strengths import SERVICE, fits
 
 Psi = tuple[float, float, float]
 """Combination factors psi_0, psi_1 and psi_2 of a variable action."""
@@ -53,10 +54,11 @@ class CombinationRules:
 en1990 = CombinationRules(
     "EN 1990",
     PSI,
-    ("ULS", "ULS 6.10a/b", "characteristic", "frequent", "quasi-permanent"),
+    ("ULS", "ULS 6.10a/b", "erection", "accidental", *SERVICE),
 )
-"""EN 1990: "ULS" is expression (6.10) with table A1.2(B), "characteristic" (6.14b), "frequent"
-(6.15b), "quasi-permanent" (6.16b)."""
+"""EN 1990: "ULS" is expression (6.10) with table A1.2(B), as is "erection", a transient situation
+(6.4.3.2) with the loads of its duration; "accidental" (6.11b) with psi_1 of the leading load;
+"characteristic" (6.14b), "frequent" (6.15b), "quasi-permanent" (6.16b)."""
 
 _ASCE_KINDS: dict[str, None] = dict.fromkeys(("live", "roof live", "snow", "rain", "wind"))
 asce7_16 = CombinationRules("ASCE 7-16", _ASCE_KINDS, ("strength", "allowable stress"))
@@ -82,7 +84,10 @@ def combinations(
     permanent: Sequence[str],
     variable: Sequence[str] | Mapping[str, str],
     *,
-    state: str | None = None,
+    state: str | Sequence[str] | None = None,
+    prestress: Sequence[float] = (1.0,),
+    pressure: Mapping[str, float] | None = None,
+    accidents: Mapping[str, Mapping[str, object]] | None = None,
     also: Mapping[str, object] | None = None,
 ) -> dict[str, dict[str, object]]:
     """Return a standard's table of load combinations, for `Solver.combine`.
@@ -96,47 +101,109 @@ def combinations(
     rules
         `en1990`, `asce7_16`, `asce7_22`, or `asce7`, the newest one.
     permanent
-        Names of permanent loads. Prestress and inner pressure, with the factor 1 in EN 1990, belong
-        to the initial state of the combinations.
+        Names of permanent loads. Prestress and inner pressure belong to the initial state of the
+        combinations.
     variable
         Names of variable loads that begin with their kind ("snow", "snow drifted", "wind x"), or a
         mapping of names to kinds, out of ``rules.kinds``.
     state
-        One of ``rules.states``; by default the first, the ultimate limit state.
+        One or several of ``rules.states``; by default the first, the ultimate limit state.
+    prestress
+        Partial factors gamma_P of the prestress in ultimate limit states and erection, (6.10), such
+        as unfavourable and favourable ``(1.35, 1.0)``. In other states it is 1.
+    pressure
+        Inner pressure to which fans rise under loads, by name or kind (force per area): of the
+        loads that act the highest one. Other combinations keep the pressure that they start from.
+    accidents
+        What happens in the state "accidental", by name, as entries of a combination:
+        ``{"A5 torn": {"without": ["A5"]}, "fans fail": {"pressure": 0.0}}``.
     also
-        Further entries of all combinations, such as ``{"pressure": 0.6}``.
+        Further entries of all combinations, such as ``{"temperature": 1.05}``.
 
     Returns
     -------
     dict
-        Factors of the loads, by names of combinations such as "ULS: 1.35 weight + 1.5 snow +
-        0.9 wind x".
+        Factors of the loads and the limit "state", by names of combinations such as "ULS: 1.35
+        weight + 1.5 snow + 0.9 wind x".
 
     Raises
     ------
     InputError
-        No rules, an unknown state or kind, no loads at all, or a repeated name.
+        No rules, an unknown state or kind, no loads at all, a repeated name, a factor or pressure
+        that is not positive, two values for one thing, or accidents without the state
+        "accidental" or the reverse.
 
     Examples
     --------
     >>> variable = ["snow", "wind x", "wind y"]
-    >>> table = codes.combinations(codes.en1990, permanent=["weight"], variable=variable)
+    >>> table = codes.combinations(
+    ...     codes.en1990, ["weight"], variable,
+    ...     state=["ULS", "characteristic"], prestress=(1.2, 1.0),
+    ... )
     >>> found = solver.combine(table)
     """
-    state = rules.states[0] if state is None else state
-    checks.one_of(f"combinations: state of {rules.name}", state, rules.states)
+    states = [state or rules.states[0]] if state is None or isinstance(state, str) else [*state]
+    for one in states:
+        checks.one_of(f"combinations: state of {rules.name}", one, rules.states)
     kinds = _kinds(rules, permanent, variable)
-    also = {} if also is None else also
-    checks.collection("combinations: also", also, Mapping, 'also={"pressure": 0.6}')
-    european = rules is en1990
-    makers = _european(state, kinds) if european else _american(rules.name, state, kinds)
+    also, pressure = also or {}, pressure or {}
+    checks.collection("combinations: also", also, Mapping, 'also={"temperature": 1.05}')
+    _check_once(also, pressure, accidents or {}, states)
+    for name, value in pressure.items():
+        checks.positive(f"combinations: pressure of {name!r}", value)
+        if not any(fits(load, name) for load in kinds):
+            raise InputError(
+                f"combinations: pressure of {name!r}, but there is no variable load of that name "
+                "or kind."
+            )
+    checks.collection("combinations: prestress", prestress, Sequence, "prestress=(1.35, 1.0)", 1)
+    tight = [checks.positive("combinations: prestress", one) for one in prestress]
     table: dict[str, dict[str, object]] = {}
-    for steady, factors in makers:
-        named = {name: steady for name in permanent} | factors
-        acting = [f"{factor:g} {name}" for name, factor in named.items() if factor]
-        title = f"{state}: {' + '.join(acting) or 'no load'}"
-        table[title] = {**named, **{name: 0.0 for name in kinds if name not in factors}, **also}
+    for one in states:
+        happens = accidents or {} if one == "accidental" else {"": {}}
+        american = rules is not en1990
+        makers = _american(rules.name, one, kinds) if american else _european(one, kinds)
+        scaled = tight if one in PRESTRESSED else [1.0]
+        for event, factor, (steady, factors) in product(happens, scaled, makers):
+            named = {name: steady for name in permanent} | factors
+            words = [event] if event else []
+            words += [f"{factor:g} prestress"] if factor != 1.0 else []
+            words += [f"{x:g} {name}" for name, x in named.items() if x]
+            given: dict[str, object] = {
+                **named, **{name: 0.0 for name in kinds if name not in factors}, "state": one,
+            }  # fmt: skip
+            given |= {"prestress": factor} if factor != 1.0 else {}
+            raised = [p for name, p in pressure.items() if any(fits(x, name) for x in factors)]
+            given |= {"pressure": max(raised)} if raised else {}
+            table[f"{one}: {' + '.join(words) or 'no load'}"] = {**given, **also, **happens[event]}
     return table
+
+
+PRESTRESSED = ("ULS", "ULS 6.10a/b", "erection", "strength")
+"""States with a partial factor of the prestress."""
+
+
+def _check_once(
+    also: Mapping[str, object], pressure: Mapping[str, float],
+    accidents: Mapping[str, Mapping[str, object]], states: Sequence[str],
+) -> None:  # fmt: skip
+    """Refuse two values of one thing, and accidents without their state."""
+    checks.collection(
+        "combinations: accidents", accidents, Mapping, '{"torn": {"without": ["A5"]}}'
+    )
+    for name, one in accidents.items():
+        example = '{"without": ["A5"]}'
+        checks.collection(f"combinations: accident {name!r}", one, Mapping, example, 1)
+    if bool(accidents) != ("accidental" in states):
+        raise InputError(
+            f"combinations: accidents = {dict(accidents)!r} and the states {list(states)!r}; pass "
+            'both, accidents and the state "accidental", or neither.'
+        )
+    twice = [
+        name for name in also if name in ("state", "prestress") or (name == "pressure" and pressure)
+    ]
+    if twice:
+        raise InputError(f"combinations: {twice[0]!r} in also has its own argument; pass it there.")
 
 
 def _kinds(
@@ -181,14 +248,17 @@ def _european(state: str, kinds: Mapping[str, str]) -> list[tuple[float, dict[st
         acting = tuple(name for name in chosen if name is not None)
         for lead in acting or (None,):
             others = {name: psi[name] for name in acting if name != lead}
-            if state == "characteristic":
+            if state == "accidental":
+                steady, first = (1.0,), psi[lead][1] if lead is not None else 0.0
+                rest = {k: p[2] for k, p in others.items()}
+            elif state == "characteristic":
                 steady, first, rest = (1.0,), 1.0, {k: p[0] for k, p in others.items()}
             elif state in ("frequent", "quasi-permanent"):
                 index = 1 if state == "frequent" else 2
                 steady, first = (1.0,), psi[lead][index] if lead is not None else 0.0
                 rest = {k: p[2] for k, p in others.items()}
             else:  # reduced: 6.10b, with the recommended xi = 0.85, table A1.2(B)
-                steady = (1.35 if state == "ULS" else 0.85 * 1.35, 1.0)
+                steady = (0.85 * 1.35 if state == "ULS 6.10a/b" else 1.35, 1.0)
                 first, rest = 1.5, {k: 1.5 * p[0] for k, p in others.items()}
             for factor in steady:
                 _add(found, factor, ({} if lead is None else {lead: first}) | rest)

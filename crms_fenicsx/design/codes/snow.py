@@ -6,7 +6,7 @@ roof. `snow_load` turns it into a load on plan.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Annotated, Literal
@@ -17,6 +17,7 @@ from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arguments import PlanDirection, PlanVector, Positive, checked
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.foundation.runtime.errors import InputError
+from crms_fenicsx.model.membrane_load import described
 
 FLAT, STEEP = 30.0, 60.0
 """Pitches (degrees) up to which all snow stays and from which none does, Table 5.2."""
@@ -154,6 +155,85 @@ class DuopitchSnow:
         second = _along(self.across, self.ridge)(x) > 0.0
         halved = {"i": np.zeros_like(second), "ii": ~second, "iii": second}[self.case]
         return np.where(halved, 0.5 * mu, mu)
+
+
+@checked
+@dataclass(frozen=True)
+class MultispanSnow:
+    """Snow on multi-span roofs, and on ridges and valleys of tents, EN 1991-1-3, 5.3.4 and figure
+    5.4.
+
+    Parameters
+    ----------
+    origin
+        A point (x, y) from which ridges and valleys are measured (length).
+    across
+        Direction (x, y) in plan across them.
+    lines
+        Distances of the ridges and valleys along `across`, in turn, from the first ridge to the
+        last one (length): 3, 5, 7 ... numbers.
+    pitches
+        Pitches of the slopes up to a ridge and down from it, along `across` (degrees).
+    case
+        "i": undrifted, mu_1 of each slope; "ii": drifted, between the outer ridges linear from mu_1
+        at the ridges to mu_2 of the mean pitch in the valleys.
+    retained
+        As for `snow_on_pitch`.
+
+    Raises
+    ------
+    InputError
+        An unknown case, a direction without length, lines that do not increase or do not begin and
+        end with a ridge, pitches out of range, or a mean one above 60 degrees, for which table 5.2
+        has no mu_2.
+
+    Examples
+    --------
+    >>> bays = {"origin": (0, 0), "across": (1, 0), "lines": (5, 10, 15), "pitches": (20, 20)}
+    >>> drifted = codes.MultispanSnow(**bays, case="ii")
+    >>> round(drifted.mu_2, 2)
+    1.33
+    """
+
+    origin: PlanVector
+    across: PlanDirection
+    lines: Sequence[float]
+    pitches: tuple[float, float]
+    case: Literal["i", "ii"] = "i"
+    retained: bool = False
+
+    def __post_init__(self) -> None:
+        checks.collection("MultispanSnow: lines", self.lines, Sequence, "lines=(5, 10, 15)", 3)
+        given = [checks.finite("MultispanSnow: lines", one) for one in self.lines]
+        if len(given) % 2 == 0 or sorted(set(given)) != given:
+            raise InputError(
+                f"MultispanSnow: lines = {given!r}; pass an odd number of increasing distances, of "
+                "ridge, valley, ridge ..."
+            )
+        pitches = checks.vector("MultispanSnow: pitches", self.pitches, (2,))
+        for pitch in pitches:
+            checks.within("MultispanSnow: pitch", float(pitch), 0.0, 90.0, "degrees")
+        checks.within("MultispanSnow: mean pitch", float(pitches.mean()), 0.0, STEEP, "degrees")
+
+    @property
+    def mu_2(self) -> float:
+        """Coefficient mu_2 of the mean pitch in the valleys, table 5.2."""
+        return MU_1 + MU_1 * min(sum(self.pitches) / 2, FLAT) / FLAT
+
+    def __call__(self, x: Array, n: Array) -> Array:
+        """Coefficients mu at points (3, n) with unit normals (3, n)."""
+        at, lines = _along(self.across, self.origin)(x), np.asarray(self.lines, dtype=float)
+        up, down = (float(snow_on_pitch(one, retained=self.retained)) for one in self.pitches)
+        slope = np.searchsorted(lines, at)  # even: up to a ridge, odd: down from one
+        falls = slope % 2 == 1
+        mu = np.where(falls, down, up)
+        inner = (slope > 0) & (slope < len(lines))
+        if self.case == "i" or not inner.any():
+            return mu
+        before, after = lines[np.maximum(slope - 1, 0)], lines[np.minimum(slope, len(lines) - 1)]
+        share = np.where(inner, (at - before) / np.where(inner, after - before, 1.0), 0.0)
+        share = np.where(falls, share, 1.0 - share)  # 0 at the ridge, 1 in the valley
+        return np.where(inner, mu + share * (self.mu_2 - mu), mu)
 
 
 @checked
@@ -318,7 +398,8 @@ def snow_load(
     s_k
         Characteristic snow load on the ground (force per area).
     shape
-        A `PitchedSnow` (the default), `DuopitchSnow`, `CylindricalSnow` or `DriftedSnow`.
+        A `PitchedSnow` (the default), `DuopitchSnow`, `MultispanSnow`, `CylindricalSnow` or
+        `DriftedSnow`.
     exposure
         C_e: 0.8 windswept, 1.0 normal, 1.2 sheltered, Table 5.1.
     thermal
@@ -350,4 +431,5 @@ def snow_load(
         mu = shape(x, n)
         return np.stack([0 * mu, 0 * mu, -load * mu])
 
+    force.__doc__ = f"s_k = {s_k:g}, C_e = {exposure:g}, C_t = {thermal:g}, mu: {described(shape)}"
     return force

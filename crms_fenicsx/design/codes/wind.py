@@ -9,6 +9,7 @@ at each; compare those that a design relies on with your copy.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -99,6 +100,63 @@ full blockage differ from it; "overall" as in a second implementation. Zone A at
 in copies of the Spanish DB SE-AE, table D.10, of SANS 10160-3, table 13, and of this table, and
 -1.6 in one program: the safe value is taken. Table 7.7: "overall" at 20 degrees with blockage is
 -1.3 in one program and -1.4 in another: the safe value is taken."""
+
+
+TERRAINS = {"0": (0.003, 1.0), "I": (0.01, 1.0), "II": (0.05, 2.0), "III": (0.3, 5.0),
+            "IV": (1.0, 10.0)}  # fmt: skip
+"""Roughness length z_0 and least height z_min (m) of the terrain categories, table 4.1."""
+
+HIGHEST = 200.0
+"""Height (m) up to which 4.3.2 holds."""
+
+
+@checked
+def peak_pressure(
+    v_b: Positive,
+    z: Positive,
+    terrain: Literal["0", "I", "II", "III", "IV"],
+    *,
+    orography: Positive = 1.0,
+    density: Positive = 1.25,
+) -> float:
+    """Peak velocity pressure q_p(z), EN 1991-1-4, 4.3 to 4.5, in kN/m^2.
+
+    Parameters
+    ----------
+    v_b
+        Basic wind velocity, 4.2 (m/s).
+    z
+        Reference height (m), up to 200 m; of roofs mostly their top.
+    terrain
+        Category: "0" sea, "I" lakes and flat land, "II" low vegetation, "III" suburbs and woods,
+        "IV" towns.
+    orography
+        Factor c_o, 4.3.3.
+    density
+        Of air (kg/m^3).
+
+    Returns
+    -------
+    float
+        q_p = (1 + 7 I_v) rho v_m^2 / 2 (4.8), with v_m = c_r c_o v_b (4.3), c_r = k_r ln(z / z_0)
+        (4.4), k_r = 0.19 (z_0 / 0.05)^0.07 (4.5), I_v = 1 / (c_o ln(z / z_0)) (4.7); turbulence
+        factor 1.
+
+    Raises
+    ------
+    InputError
+        An unknown category, a height beyond 200 m, or values that are not positive.
+
+    Examples
+    --------
+    >>> round(codes.peak_pressure(26.0, 8.0, "III"), 2)
+    0.66
+    """
+    checks.within("peak_pressure: z", z, 0.0, HIGHEST, "m")
+    rough, least = TERRAINS[terrain]
+    profile = np.log(max(z, least) / rough)
+    mean = 0.19 * (rough / 0.05) ** 0.07 * profile * orography * v_b
+    return float((1 + 7 / (orography * profile)) * density * mean**2 / 2000)
 
 
 def en1991_vault_zones(rise: float, height: float = 0.0) -> Zones:
@@ -345,19 +403,151 @@ def vault(
     Raises
     ------
     InputError
-        On all ranks: a direction without length, an unknown part, or a roof or walls outside the
-        figure.
+        On all ranks: a direction without length, an unknown part, a roof that is not arched along
+        the wind or a saddle, or a roof or walls outside the figure.
 
     Examples
     --------
     >>> scene.put_wind(0.8, codes.vault(scene, (1.0, 0.0)), name="wind x")
     """
     roof = _footprint("vault", scene, direction, part)
+    _refuse_saddles(scene, roof, part)
     tall = height / roof.depth
     checks.within("vault: height / d", tall, 0.0, np.inf)
     if zones is None:
         return ArchWind(roof, en1991_vault_zones(roof.rise / roof.depth, tall), stepped=True)
     return ArchWind(roof, _checked_zones("vault", zones), stepped=True)
+
+
+def _refuse_saddles(scene: Scene, roof: Footprint, part: str | None) -> None:
+    """Refuse a vault that is not arched along the wind, or that a quadratic through its vertices
+    bends the other way across it, or twists, by more than half as much. Collective."""
+    membrane = scene.membrane
+    cells = np.arange(membrane.mesh.mesh.topology.index_map(2).size_local)
+    if part is not None:
+        cells = np.flatnonzero(cells_of(membrane.mesh, (part,))[: len(cells)])
+    centres = membrane.positions()[membrane.V.dofmap.list[cells]].mean(axis=1)
+    s, t = (2 * one - 1 for one in roof.parts(centres.T))
+    terms = np.stack([np.ones_like(s), s, t, s * s, s * t, t * t])
+    sums = np.column_stack([terms @ terms.T, terms @ (centres[:, 2] - roof.low)])
+    sums = membrane.comm.allreduce(np.ascontiguousarray(sums))
+    _, _, _, along, twist, across = np.linalg.lstsq(sums[:, :6], sums[:, 6], rcond=None)[0]
+    if roof.rise <= 1e-3 * roof.depth or (along < 0.0 and max(across, abs(twist)) < -along / 2):
+        return
+    shape = "sags along the wind" if along >= 0.0 else "is a saddle or twisted"
+    raise InputError(
+        f"vault: the roof {shape}: it is {-along:.3g} higher in the middle than at its ends along "
+        f"the wind, {-across:.3g} across it; figure 7.11 is for cylinders with wind across them. "
+        "Use codes.wind_table with coefficients for this shape."
+    )
+
+
+@dataclass(frozen=True)
+class TableWind:
+    """Wind by a table over the roof, from `wind_table`.
+
+    Attributes
+    ----------
+    roof
+        Sizes of the roof along the wind.
+    along, across
+        Relative places of the table's rows along the wind and of its columns across it, 0 to 1.
+    values : (rows, columns)
+        Coefficients.
+    linear
+        Whether they are those of points, linear between them; else those of the zones around.
+    """
+
+    roof: Footprint
+    along: tuple[float, ...]
+    across: tuple[float, ...]
+    values: Array
+    linear: bool
+
+    def __call__(self, x: Array, n: Array) -> Array:
+        """Coefficients (n,) at points (3, n)."""
+        places = self.roof.parts(x)
+        rows, columns = (
+            _share(np.asarray(known), at, self.linear)
+            for known, at in zip((self.along, self.across), places, strict=True)
+        )
+        return np.einsum("rn,rc,cn->n", rows, self.values, columns)
+
+
+def _share(known: Array, at: Array, linear: bool) -> Array:
+    """Weights (m, n) of the m table entries at n places: by linear interpolation, or 1 of the zone
+    that ends half way to the next entry."""
+    found = np.zeros((len(known), len(at)))
+    if not linear:
+        found[np.searchsorted((known[1:] + known[:-1]) / 2, at), np.arange(len(at))] = 1.0
+        return found
+    for row, unit in zip(found, np.eye(len(known)), strict=True):
+        row[:] = np.interp(at, known, unit)
+    return found
+
+
+@collective
+def wind_table(
+    scene: Scene,
+    direction: PlanDirection,
+    along: Sequence[float],
+    across: Sequence[float],
+    values: Sequence[Sequence[float]] | Array,
+    *,
+    linear: bool = False,
+    part: str | None = None,
+) -> TableWind:
+    """Make wind by a table of your own over a roof in its current shape. Collective.
+
+    For rounded halls, hypars and saddles, which codes leave to wind tunnels and literature.
+
+    Parameters
+    ----------
+    scene, direction, part
+        As for `vault`.
+    along, across
+        Relative places of the table's rows along the wind, from the windward edge 0 to the leeward
+        one 1, and of its columns across it, from the right seen along the wind to the left (of wind
+        along x: along y); increasing.
+    values : (rows, columns)
+        Coefficients c_p.
+    linear
+        Whether they are linear between these places; else each holds half way to the next.
+
+    Returns
+    -------
+    TableWind
+        For `Scene.put_wind`.
+
+    Raises
+    ------
+    InputError
+        On all ranks: places that do not increase from 0 to 1, values of another shape or not
+        finite, or as for `vault`.
+
+    Examples
+    --------
+    >>> ends = [[0.5, 0.6, 0.5], [-0.5, -0.9, -0.5], [-0.2, -0.3, -0.2]]
+    >>> along_x = codes.wind_table(scene, (1, 0), (0.1, 0.5, 0.9), (0.1, 0.5, 0.9), ends)
+    >>> scene.put_wind(0.8, along_x, name="wind x")
+    """
+    places = []
+    for name, given in (("along", along), ("across", across)):
+        checks.collection(f"wind_table: {name}", given, Sequence, f"{name}=(0.1, 0.5, 0.9)", 1)
+        known = [checks.within(f"wind_table: {name}", one, 0.0, 1.0) for one in given]
+        if sorted(set(known)) != known:
+            raise InputError(f"wind_table: {name} = {known!r} does not increase; sort it.")
+        places.append(tuple(known))
+    table = np.asarray(values)
+    if table.dtype.kind not in "fiu" or table.shape != tuple(map(len, places)):
+        raise InputError(
+            f"wind_table: values of shape {table.shape}; pass {len(along)} rows of {len(across)} "
+            "numbers, one for each place."
+        )
+    if not np.isfinite(table).all():
+        raise InputError("wind_table: one of values is not a finite number.")
+    roof = _footprint("wind_table", scene, direction, part)
+    return TableWind(roof, places[0], places[1], table, linear)
 
 
 @collective

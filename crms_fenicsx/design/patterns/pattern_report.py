@@ -15,6 +15,7 @@ from crms_fenicsx.design.patterns.sheet import Nesting, Sheet, nest
 from crms_fenicsx.design.patterns.sheet_files import roll_figure, sewn_figure
 from crms_fenicsx.foundation.runtime.arguments import PerRank, collective
 from crms_fenicsx.results.output.report.page import (
+    Cell,
     Figure,
     Figures,
     PagePart,
@@ -95,8 +96,9 @@ def _figure(comm: MPI.Intracomm, draw: Callable[[], Any], caption: str) -> Figur
 
 def _piece_table(pattern: Pattern, nesting: Nesting, units: Units) -> Table:
     """Table of sizes, compensation and distortion of all pieces."""
-    rows = [
-        (one.name, one.area, one.length, one.width, float(drawing.extent[1]),
+    rows: list[tuple[Cell, ...]] = [
+        (one.name, one.area,
+         *map(units.exact, (one.length, one.width, float(drawing.extent[1]))),
          float(100 * one.shrink[0]), float(100 * one.shrink[1]), float(100 * one.distortion))
         for one, drawing in zip(pattern.flat, nesting.drawings, strict=True)
     ]  # fmt: skip
@@ -108,7 +110,10 @@ def _piece_table(pattern: Pattern, nesting: Nesting, units: Units) -> Table:
 def _seam_table(pattern: Pattern, units: Units) -> Table:
     """Table of the lengths of both sides of each seam."""
     sums = {seam: lengths.sum(axis=0).tolist() for seam, lengths in pattern.seam_lengths().items()}
-    rows = [(seam, one, other, abs(one - other)) for seam, (one, other) in sums.items()]
+    rows: list[tuple[Cell, ...]] = [
+        (seam, *map(units.exact, (one, other, abs(one - other))))
+        for seam, (one, other) in sums.items()
+    ]
     heads = "Seam|One side{length}|Other side{length}|Difference{length}"
     return Table("Seams", units.headings(heads), rows, "seams")
 

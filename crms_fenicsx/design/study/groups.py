@@ -79,6 +79,7 @@ def combine_in_groups(
     >>> max(found, key=lambda name: found[name].summary.membrane.largest["warp"].value)
     """
     from crms_fenicsx.results.output.report.reporting import (
+        BASE,
         checked_plan,
         drawn,
         model_of,
@@ -112,17 +113,17 @@ def combine_in_groups(
     with raised_together(comm):
         states = solver.combine(mine, steps=steps) if mine else {}
         cases = results_of(solver, states) if mine else []
-    every = _joined(comm, own, cases, list(combinations))
+    every = _joined(comm, own, cases, [BASE, *combinations])
     if plan is not None:
         with raised_together(comm):
             shown = drawn(solver, plan, states, cases, list(every.values())) if mine else []
-        pictured = _joined(comm, own, shown, list(combinations))
+        pictured = _joined(comm, own, shown, [BASE, *combinations])
         with raised_together(comm):
             if number == 0:
                 write_files(solver, plan, model_of(solver, plan, states), list(pictured.values()))
     del solver, scene, states, copy
     own.Free()
-    return every
+    return {name: every[name] for name in combinations}
 
 
 def _joined(
@@ -134,4 +135,4 @@ def _joined(
     found = {case.name: case for part in plain for case in part}
     for part in comm.gather(sent) or []:
         found |= {case.name: case for case in part}
-    return {name: found[name] for name in names}
+    return {name: found[name] for name in names if name in found}

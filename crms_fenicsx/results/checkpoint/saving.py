@@ -130,7 +130,10 @@ class _SceneStorage:
         if kind is not SceneState:
             return {}
         scene = self.scene
-        return {"terms": scene.terms, "version": scene.versions.current, "scene": scene}
+        return {
+            "terms": scene.terms, "version": scene.versions.current, "scene": scene,
+            "case": scene.case,
+        }  # fmt: skip
 
     def write(self, path: str, rows: Rows, values: np.ndarray[Any, Any]) -> Plain:
         """Write a distributed array; return its digest and number of rows. Collective."""

@@ -88,7 +88,8 @@ class Recorder:
     "energy" and that of each kind of term, energy "dissipated" by friction and "passes" of its
     forces, "volume" gained; "tension", "length" and "L0" of each cable (also "start" and "end"
     tensions with friction along it or clamps), the force of each "clamp" along the membrane;
-    "force", "bar length" and "bar L0" of each bar; "warnings", "blocked points", and the solve's
+    "force", "bar length" and "bar L0" of each bar; "case" and "limit state" of a combination;
+    "warnings", "blocked points", and the solve's
     "iterations", "evaluations", "factorizations", "solves", "flips", "residual" (force) and
     "seconds". With `estimate` also "error of energy" (force x length) and "relative error".
     """
@@ -122,6 +123,8 @@ class Recorder:
             row["error of energy"], row["relative error"] = estimate.total, estimate.relative
         if case:
             row["case"] = case
+            if self.scene.case.base is not None:
+                row["limit state"] = self.scene.case.state
         self.history.append(row)
         if self.series is not None:
             from crms_fenicsx.results.view_data import current_view

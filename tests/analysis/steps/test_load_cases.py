@@ -146,7 +146,7 @@ def test_bad_combinations_are_refused_before_anything_is_computed(comm: MPI.Intr
     for bad in ({}, 3, None):
         with pytest.raises(InputError, match="combinations ="):
             solver.combine(bad)  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="'pressure' belongs to the air"):
+    with pytest.raises(InputError, match="'pressure' means another thing"):
         solver.scene.put_load(SNOW, name="pressure")  # combinations could not tell them apart
     assert len(solver.steps) == 1
 

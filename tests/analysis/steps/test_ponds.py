@@ -203,7 +203,7 @@ def test_bad_input(comm: MPI.Intracomm) -> None:
         ("level = None and volume = None", {"weight": 10}),
         ("'attic'.*there are 'left', 'right'", {"weight": 10, "level": 0.0, "on": ["attic"]}),
         ("on = 'left' is not a valid list", {"weight": 10, "level": 0.0, "on": "left"}),
-        ("belongs to the air", {"weight": 10, "level": 0.0, "name": "pressure"}),
+        ("means another thing", {"weight": 10, "level": 0.0, "name": "pressure"}),
     ):
         with pytest.raises(InputError, match=message):
             scene.put_pond(**arguments)

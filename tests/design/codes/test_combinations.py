@@ -11,7 +11,10 @@ from crms_fenicsx.design.codes import asce7, asce7_16, asce7_22, combinations, e
 
 
 def factors(table: dict[str, dict[str, object]]) -> set[tuple[tuple[str, object], ...]]:
-    return {tuple(sorted((k, v) for k, v in one.items() if v)) for one in table.values()}
+    return {
+        tuple(sorted((k, v) for k, v in one.items() if v and k != "state"))
+        for one in table.values()
+    }
 
 
 def test_the_ultimate_limit_state_by_hand() -> None:
@@ -59,7 +62,7 @@ def test_loads_of_a_kind_exclude_each_other() -> None:
         assert one["g"] == one["fabric"]
         assert one["pressure"] == 0.6
         assert set(one) == {
-            "g", "fabric", "snow", "snow drifted", "wind x", "wind y", "pressure"
+            "g", "fabric", "snow", "snow drifted", "wind x", "wind y", "pressure", "state"
         }  # fmt: skip
         assert name.startswith("ULS: ")
     assert "ULS: 1.35 g + 1.35 fabric + 1.5 snow drifted + 0.9 wind y" in table
@@ -104,6 +107,46 @@ def test_the_combinations_of_a_building_code() -> None:
     assert found - expected <= fewer  # of rows with loads that there are not
 
 
+def test_several_limit_states_in_one_table() -> None:
+    """Each combination knows what it is for; prestress has its factors in (6.10) only."""
+    states = ["ULS", "erection", "characteristic", "quasi-permanent"]
+    table = combinations(en1990, ["g"], ["snow", "wind"], state=states, prestress=(1.2, 1.0))
+    for name, one in table.items():
+        assert one["state"] in states and name.startswith(f"{one['state']}: ")
+        assert ("prestress" in one) <= (one["state"] in ("ULS", "erection"))
+    counts = {state: sum(one["state"] == state for one in table.values()) for state in states}
+    assert counts == {"ULS": 20, "erection": 20, "characteristic": 5, "quasi-permanent": 1}
+    both = [one for name, one in table.items() if "1.2 prestress + 1.35 g + 1.5 snow + " in name]
+    assert both and all(one["prestress"] == 1.2 and one["snow"] == 1.5 for one in both)
+
+
+def test_accidents_by_hand() -> None:
+    """(6.11b): G + A_d + psi_1,1 Q_1 + psi_2 Q_2, with snow (psi_1 = 0.2, psi_2 = 0) and wind."""
+    accidents = {"A5 torn": {"without": ["A5"]}, "fans fail": {"pressure": 0.0}}
+    table = combinations(
+        en1990, ["g"], ["snow", "wind"], state="accidental", accidents=accidents,
+        pressure={"snow": 0.6},
+    )  # fmt: skip
+    rest = ({}, {"snow": 0.2}, {"wind": 0.2})
+    assert len(table) == 2 * len(rest)
+    for name, one in table.items():
+        assert one["g"] == 1.0 and {k: one[k] for k in ("snow", "wind") if one[k]} in rest
+        torn = name.startswith("accidental: A5 torn + 1 g")
+        assert one.get("without") == (["A5"] if torn else None)
+        # what happens goes before what the fans would do
+        fans = 0.6 if one["snow"] else None
+        assert one.get("pressure") == (fans if torn else 0.0)
+
+
+def test_pressures_follow_the_loads() -> None:
+    table = combinations(
+        en1990, ["g"], ["snow", "snow drifted", "wind x"], pressure={"snow": 0.6, "wind x": 0.4}
+    )
+    for one in table.values():
+        snow, wind = one["snow"] or one["snow drifted"], one["wind x"]
+        assert one.get("pressure") == (0.6 if snow else 0.4 if wind else None)
+
+
 @pytest.mark.ranks
 def test_a_table_is_solved(comm: MPI.Intracomm) -> None:
     scene = sheet(
@@ -138,6 +181,16 @@ def test_bad_input() -> None:
         ({"permanent": ["g", ""]}, "a load = '' is not a non-empty string"),
         ({"state": "SLS"}, "state of EN 1990 = 'SLS' is not known; use 'ULS', .*'frequent'"),
         ({"also": 3}, "also = 3 is not a valid mapping"),
+        ({"also": {"state": "ULS"}}, "'state' in also has its own argument"),
+        ({"also": {"prestress": 1.1}}, "'prestress' in also has its own argument"),
+        ({"also": {"pressure": 1.0}, "pressure": {"snow": 0.6}}, "'pressure' in also has its own"),
+        ({"pressure": {"wind": 0.6}}, "pressure of 'wind', but there is no variable load"),
+        ({"pressure": {"snow": -0.6}}, "pressure of 'snow' = -0.6"),
+        ({"prestress": (1.2, 0.0)}, "prestress = 0.0"),
+        ({"prestress": 1.2}, "prestress = 1.2"),
+        ({"state": "accidental"}, 'the state "accidental", or neither'),
+        ({"accidents": {"torn": {"without": ["A"]}}}, 'the state "accidental", or neither'),
+        ({"state": "accidental", "accidents": {"torn": {}}}, "accident 'torn' = {}"),
     ):
         given = {"rules": en1990, "permanent": ["g"], "variable": ["snow"], **arguments}
         with pytest.raises(InputError, match=message):

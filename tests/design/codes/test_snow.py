@@ -12,6 +12,7 @@ from crms_fenicsx.design.codes import (
     CylindricalSnow,
     DriftedSnow,
     DuopitchSnow,
+    MultispanSnow,
     PitchedSnow,
     snow_load,
     snow_on_pitch,
@@ -117,3 +118,32 @@ def test_bad_input() -> None:
     ):
         with pytest.raises(InputError, match=message):
             call(**arguments)  # type: ignore[operator]
+
+
+def test_multispan_roofs_by_hand() -> None:
+    """Figure 5.4 with pitches of 40 and 20 degrees: mu_1 = 0.8 (60 - 40) / 30 = 0.533 and 0.8, in
+    the valley mu_2 of 30 degrees, 1.6. Ridges at 5, 15 and 25, valleys at 10 and 20."""
+    bays = {"origin": (0, 0), "across": (1, 0), "lines": (5, 10, 15, 20, 25), "pitches": (40, 20)}
+    steep = 0.8 * 20 / 30
+    at = places(2.0, 5.001, 7.5, 10.0, 12.5, 14.999, 17.5, 23.0, 27.0)
+    even = MultispanSnow(**bays)(at, level(9))  # type: ignore[arg-type]
+    np.testing.assert_allclose(even, [steep, 0.8, 0.8, 0.8, steep, steep, 0.8, steep, 0.8])
+    drifted = MultispanSnow(**bays, case="ii")  # type: ignore[arg-type]
+    assert drifted.mu_2 == pytest.approx(1.6)
+    half = (steep + 1.6) / 2
+    expected = [steep, 0.8, 1.2, 1.6, half, steep, 1.2, 1.6 + 0.6 * (steep - 1.6), 0.8]
+    np.testing.assert_allclose(drifted(at, level(9)), expected, atol=1e-3)
+
+
+def test_mu_2_of_table_5_2() -> None:
+    """0.8 + 0.8 a / 30 up to 30 degrees, then 1.6."""
+    for pitch, mu in ((0.0, 0.8), (15.0, 1.2), (30.0, 1.6), (45.0, 1.6)):
+        shape = MultispanSnow((0, 0), (1, 0), (0, 1, 2), (pitch, pitch), "ii")
+        assert shape.mu_2 == pytest.approx(mu)
+    for bad in (
+        {"lines": (5, 10)}, {"lines": (5, 10, 10)}, {"lines": (1, 2, 3, 4)}, {"lines": "abc"},
+        {"pitches": (70.0, 60.0)}, {"pitches": (100.0, 0.0)}, {"pitches": 20.0}, {"case": "iii"},
+    ):  # fmt: skip
+        given = {"origin": (0, 0), "across": (1, 0), "lines": (0, 1, 2), "pitches": (20, 20), **bad}
+        with pytest.raises(InputError, match="MultispanSnow"):
+            MultispanSnow(**given)  # type: ignore[arg-type]

@@ -15,7 +15,9 @@ from crms_fenicsx.design.codes import (
     canopy,
     dome,
     en1991_vault_zones,
+    peak_pressure,
     vault,
+    wind_table,
 )
 from crms_fenicsx.design.codes import wind as module
 from crms_fenicsx.design.codes.wind import Footprint
@@ -161,3 +163,78 @@ def test_bad_input(comm: MPI.Intracomm) -> None:
     ):
         with pytest.raises(InputError, match=message):
             call(**arguments)  # type: ignore[operator]
+
+
+@pytest.mark.parametrize(
+    ("v_b", "z", "terrain", "q_p"),
+    [
+        # Steel Buildings in Europe, part 3, appendix B: c_r = 0.706, c_e = 1.56, q_b = 422.5 N/m^2
+        (26.0, 8.0, "III", 0.659),
+        # a published spreadsheet (scribd, "Wind Eurocode"), sea: k_r = 0.156, v_m = 39.62 m/s
+        (25.0, 77.36, "0", 1.658),
+        (25.0, 28.0, "0", 1.403),
+    ],
+)
+def test_published_peak_pressures(v_b: float, z: float, terrain: str, q_p: float) -> None:
+    assert peak_pressure(v_b, z, terrain) == pytest.approx(q_p, rel=5e-3)  # type: ignore[arg-type]
+
+
+def test_peak_pressures_by_hand() -> None:
+    """Below z_min it is that of z_min; a hill raises the mean wind, not its turbulence."""
+    assert peak_pressure(26.0, 1.0, "III") == peak_pressure(26.0, 5.0, "III")
+    flat, hill = (peak_pressure(26.0, 8.0, "II", orography=c) for c in (1.0, 1.2))
+    profile = np.log(8.0 / 0.05)
+    assert flat == pytest.approx(0.19**2 * profile * (profile + 7) * 0.625 * 26.0**2 / 1000)
+    assert hill / flat == pytest.approx(1.2 * (1.2 * profile + 7) / (profile + 7))
+    for bad in ((26.0, 300.0, "II"), (26.0, 8.0, "V"), (0.0, 8.0, "II"), (26.0, -1.0, "II")):
+        with pytest.raises(InputError, match="peak_pressure"):
+            peak_pressure(*bad)  # type: ignore[arg-type]
+
+
+def bent(comm: MPI.Intracomm, height) -> Scene:  # type: ignore[no-untyped-def]
+    """A surface over 10 x 20, by its height over relative places from -1 to 1."""
+    mesh = meshes.rectangle(comm, 10.0, 20.0, 1.0, structured=True)
+    x = mesh.mesh.geometry.x
+    x[:, 2] = height(x[:, 0] / 5 - 1, x[:, 1] / 10 - 1)
+    return Scene(mesh, FOIL)
+
+
+@pytest.mark.parametrize(
+    ("height", "words"),
+    [
+        (lambda s, t: 3 * s * s - 3 * t * t, "sags along the wind"),
+        (lambda s, t: -3 * s * s + 3 * t * t, "is a saddle or twisted: it is 3 higher"),
+        (lambda s, t: 2 * s * t, "is a saddle or twisted|sags along the wind"),
+        (lambda s, t: -3 * t * t, "sags along the wind"),  # wind along the vault
+        (lambda s, t: -3 * s * s, None),
+        (lambda s, t: -3 * s * s - 2 * t * t, None),  # as an air hall
+        (lambda s, t: -3 * s * s + 0.9 * t * t, None),  # hung between arches
+    ],
+)
+def test_a_saddle_is_no_vault(comm: MPI.Intracomm, height, words) -> None:  # type: ignore[no-untyped-def]
+    scene = bent(comm, height)
+    zones = (0.4, -0.9, -0.4)
+    if words is None:
+        assert vault(scene, (1.0, 0.0), zones=zones).zones == zones
+        return
+    with pytest.raises(InputError, match=words):
+        vault(scene, (1.0, 0.0), zones=zones)
+
+
+@pytest.mark.ranks
+def test_a_table_of_ones_own(comm: MPI.Intracomm) -> None:
+    scene = bent(comm, lambda s, t: 3 * s * s - 3 * t * t)
+    values = [[0.5, 0.6], [-0.5, -0.9]]
+    zones = wind_table(scene, (1.0, 0.0), (0.2, 0.6), (0.25, 0.75), values)
+    found = zones(at((1.0, 1.0), (3.9, 11.0), (4.1, 9.0), (9.0, 19.0)), at())
+    np.testing.assert_allclose(found, [0.5, 0.6, -0.5, -0.9])
+    smooth = wind_table(scene, (1.0, 0.0), (0.0, 1.0), (0.0, 1.0), values, linear=True)
+    np.testing.assert_allclose(smooth(at((5.0, 0.0), (5.0, 10.0)), at()), [0.0, -0.075], atol=1e-12)
+    scene.put_wind(0.8, zones, name="wind x")
+    for bad in (
+        {"along": (0.6, 0.2)}, {"along": (0.2, 1.2)}, {"across": ()}, {"values": [[1.0, 2.0]]},
+        {"values": [[1.0, np.nan], [0.0, 0.0]]}, {"values": [["a", "b"], ["c", "d"]]},
+    ):  # fmt: skip
+        given = {"along": (0.2, 0.6), "across": (0.25, 0.75), "values": values, **bad}
+        with pytest.raises(InputError, match="wind_table"):
+            wind_table(scene, (1.0, 0.0), **given)  # type: ignore[arg-type]

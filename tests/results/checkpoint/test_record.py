@@ -101,6 +101,12 @@ def mast(**bar: Any) -> Scene:
     return scene
 
 
+def roped(cables: str = "a", **given: Any) -> Scene:
+    scene = crossed()
+    laid = [scene.cable(name) for name in cables]
+    return after(scene, "put_cable_load", **{"force": (0, 0, 1.0), "cables": laid} | given)
+
+
 def after(scene: Scene, call: str, *arguments: Any, **given: Any) -> Scene:
     """The scene after a call of one of its methods."""
     getattr(scene, call)(*arguments, **given)
@@ -217,7 +223,10 @@ CALLS: dict[str, tuple[Callable[..., Scene], dict[str, Any]]] = {
     "Bar, in compression": (
         lambda **new: mast(**{"strength": 8.0, "curve": 0.5} | new), {"curve": 0.6}
     ),
-    "Bar": (mast, {"EA": 101.0, "tension_only": True, "EI": 5.0, "strength": 9.0}),
+    "Bar": (mast, {
+        "EA": 101.0, "tension_only": True, "EI": 5.0, "strength": 9.0, "gamma_M": 1.1,
+        "buckling_length": 3.0,
+    }),
     "lay_cable": (laid, {
         "cable": Cable(51.0), "path": [(0, 3.3), (10, 4.3)], "L0": 9.9, "tension": 2.0,
         "hold": "sleeve", "layer": 1, "name": "A",
@@ -269,6 +278,7 @@ CALLS: dict[str, tuple[Callable[..., Scene], dict[str, Any]]] = {
         ),
         {"force": (0, 0, 2.0), "edges": "right", "name": "parapet"},
     ),
+    "put_cable_load": (roped, {"force": (0, 0, 2.0), "cables": "ab", "name": "ice"}),
     "put_joint_load": (joint_load, {"forces": 2.0, "name": "sign"}),
     "put_pond": (
         ponded, {"weight": 11.0, "level": -1.1, "volume": 0.5, "on": ["front"], "name": "lake"}
@@ -301,7 +311,7 @@ ELSEWHERE = {"Scene": {"mesh"}, "add_bar": {"bar"}}
 """Arguments that other rows, or other tests, change."""
 NO_CHANGE = {
     "bar", "cable", "joint", "load", "in_equilibrium", "positions", "record", "require_equilibrium",
-    "strength_factor", "vertex_at", "vertices", "set_strengths", "unseal",
+    "set_limits", "vertex_at", "vertices", "set_strengths", "unseal",
 }  # fmt: skip
 """Methods of a scene that do not change its equilibrium, and one without arguments."""
 

@@ -17,7 +17,9 @@ from crms_fenicsx import (
     OrthotropicMembrane,
     Scene,
     UflMembrane,
+    codes,
 )
+from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.model.materials import MembraneMaterial
 from crms_fenicsx.results.output.report.model_tables import model_of_scene
 from crms_fenicsx.results.output.report.page import Units
@@ -81,3 +83,27 @@ def test_strengths_are_told() -> None:
     names = ("EI [kN m²]", "Strength [kN]", "Buckling curve or factor")
     assert [[one[name] for name in names] for one in bars] == [[2724.0, 947.0, "a"], [None] * 3]
     assert [one["Unstressed length [m]"] for one in bars] == [bar.L0 for bar in scene.bars]
+
+
+def test_loads_say_what_they_follow() -> None:
+    """Data of loads by code, and docstrings of functions, in the basis of design."""
+    scene = scene_of(IsotropicMembrane(E=800.0, nu=0.3, thickness=1.0, prestress=1.0))
+
+    def drift(points: Array, normals: Array) -> Array:
+        """Snow behind the parapet."""
+        return np.stack([0 * points[0], 0 * points[0], 0 * points[0] - 0.3])
+
+    scene.put_load(codes.snow_load(0.75, exposure=1.2), name="snow", per="plan")
+    scene.put_load(drift, name="drift", per="plan")
+    scene.put_load((0.0, 0.0, -0.01), name="weight")
+    scene.put_wind(0.65, -0.8, name="suction")
+    scene.put_wind(0.65, codes.canopy(scene, (1, 0), "monopitch", 5.0, "up"), name="up")
+    basis = model_of_scene(scene, Units("m", "kN"), {}).basis
+    assert set(basis) == {"Load snow", "Load drift", "Load suction", "Load up"}
+    assert basis["Load snow"].startswith("s_k = 0.75, C_e = 1.2, C_t = 1, mu: Snow on a monopitch")
+    assert basis["Load drift"] == "Snow behind the parapet."
+    assert basis["Load suction"] == "q_p = 0.6500 kN/m\u00b2, c_p = -0.8"
+    assert basis["Load up"].startswith(
+        "q_p = 0.6500 kN/m\u00b2, Net wind on a canopy, from canopy."
+    )
+    assert "zones = {'A': " in basis["Load up"] and "Footprint" not in basis["Load up"]

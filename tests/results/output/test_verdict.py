@@ -13,10 +13,14 @@ from mpi4py import MPI
 from crms_fenicsx import Bar, Cable, IsotropicMembrane, Solver
 from crms_fenicsx.analysis.verification.report import Check
 from crms_fenicsx.model.versions import StateWarning
-from crms_fenicsx.results.output.report.case import Case, case_of, shape_of, verdict_on
+from crms_fenicsx.results.design_checks import DesignCheck
+from crms_fenicsx.results.output.report.case import Case, case_of, shape_of
 from crms_fenicsx.results.output.report.page import Table, Units, Verdict, number
 from crms_fenicsx.results.output.report.results_tables import ResultTables
 from crms_fenicsx.results.output.report.sections import with_codes
+from crms_fenicsx.results.output.report.verdict import governing, verdict_on
+from crms_fenicsx.results.output.report.verdict import judged as judged_in
+from crms_fenicsx.results.summary import Summary
 
 
 @pytest.fixture(scope="module")
@@ -36,6 +40,12 @@ def case(comm: MPI.Intracomm) -> Case:
     return case_of(solver, "snow", before)
 
 
+def without_bars(summary: Summary, **changed: Any) -> Summary:
+    """A summary without the prop, whose strength is not enough, and without rain."""
+    checks = tuple(one for one in summary.checks if not one.what.startswith("bar"))
+    return replace(summary, **{"bars": {}, "hollows": (), "checks": checks} | changed)
+
+
 def judged(
     cases: Sequence[Case], strain: float = 0.1, cables: Mapping[str, float] | None = None
 ) -> Verdict:
@@ -49,7 +59,7 @@ def reasons(case: Case, **limits: Any) -> str:
 
 def test_reasons_in_plain_words(case: Case) -> None:
     assert case.summary.bars["prop"].force < 0.0
-    good = replace(case, summary=replace(case.summary, bars={}, hollows=()))
+    good = replace(case, summary=without_bars(case.summary))
     verdict = judged([good])
     assert verdict.look == ""
     assert [text.split(":")[0].split(" (")[0] for text in verdict.reasons] == [
@@ -60,19 +70,21 @@ def test_reasons_in_plain_words(case: Case) -> None:
         (replace(good, volume=-0.9), "turned inside out"),
         (replace(good, volume=0.3), "collapsed: 30.0 % of its inner volume"),
         (replace(good, volume=None, turned=0.2), "20.0 % of the membrane has turned over"),
-        (case, "the bar prop is loaded to"),
+        (case, "Bar in compression beyond the limit: prop"),
     ):
         assert words in reasons(changed)
     bars = {"prop": replace(case.summary.bars["prop"], utilisation=None)}
     unknown = replace(good, summary=replace(good.summary, bars=bars))
+    service = replace(unknown, state="frequent")
+    assert "Buckling" not in " ".join(judged([service]).reasons)
     assert "Buckling is not checked" in " ".join(judged([unknown]).reasons)
-    assert "limit 0.1 %" in reasons(good, strain=1e-3)
-    assert "the cable ridge is loaded to" in reasons(good, cables={"ridge": 0.1})
+    assert "Membrane, strain beyond the limit: whole membrane" in reasons(good, strain=1e-3)
+    assert "Cable tension beyond the limit: ridge" in reasons(good, cables={"ridge": 0.1})
 
 
 def test_rain_that_would_stand(case: Case) -> None:
     """The square sags under its snow: it holds water, which is to be checked and no failure."""
-    wet = replace(case, summary=replace(case.summary, bars={}))
+    wet = replace(case, summary=without_bars(case.summary, hollows=case.summary.hollows))
     dry = replace(wet, name="dry", summary=replace(wet.summary, hollows=()))
     verdict = judged([dry, wet])
     assert verdict.look == "doubtful"
@@ -96,7 +108,9 @@ def test_utilisation_and_what_finer_cells_change(case: Case) -> None:
     for value, change, look in ((1.2, 0.1, "failed"), (0.95, 0.1, "doubtful"), (0.95, 0.04, "")):
         largest = {**membrane.largest, "utilisation": replace(used, value=value)}
         part = replace(membrane, largest=largest, change=change)
-        summary = replace(case.summary, bars={}, hollows=(), parts={"": part})
+        (check,) = without_bars(case.summary).checks
+        check = replace(check, effect=value * check.limit)
+        summary = without_bars(case.summary, parts={"": part}, checks=(check,))
         verdict = judged([replace(case, summary=summary)])
         text = " ".join(verdict.reasons)
         assert verdict.look == look
@@ -109,7 +123,7 @@ def test_reinforced_corners_are_told(case: Case) -> None:
     """The prop's head: its place on the plain fabric, and whether the radius was given."""
     ((name, one),) = case.summary.patches.items()
     assert (name, one.patch.reason, one.patch.at) == ("corner 1", "bar", (4.0, 6.0, 0.0))
-    bare = replace(case.summary, bars={}, hollows=())
+    bare = without_bars(case.summary)
     text = " ".join(judged([replace(case, summary=bare)]).reasons)
     assert "Corners to be reinforced (corner 1): within a radius of 0.4" in text
     assert "depends on the mesh" in text and "not given" in text
@@ -122,7 +136,7 @@ def test_reinforced_corners_are_told(case: Case) -> None:
 
 def test_doubtful_and_failed_checks(case: Case) -> None:
     assert case.verification is not None
-    good = replace(case, summary=replace(case.summary, bars={}))
+    good = replace(case, summary=without_bars(case.summary))
     bad = replace(case.verification, checks=(Check("lean", 2.0, 1.0, "A1"),))
     text = reasons(replace(good, verification=bad))
     assert "no verified equilibrium: the check of lean at A1 is 2, its limit 1" in text
@@ -142,3 +156,51 @@ def test_long_names_give_way_to_codes(case: Case) -> None:
     for cases in ([case, long], [long, case]):
         assert [one.name for one in with_codes(cases, factors)] == ["LC1", "LC2"]
     assert with_codes([case], factors) == [case]
+
+
+def test_reasons_are_grouped_by_limit_state_and_member(case: Case) -> None:
+    """One sentence for what is beyond its limit in many combinations, the worst first."""
+    ridge = case.summary.cables["ridge"]
+    cables = {f"A{k}": replace(ridge, name=f"A{k}", largest=1.0 * k) for k in range(1, 11)}
+
+    def loaded(name: str, state: str, factor: float) -> Case:
+        own = {k: replace(one, largest=factor * one.largest) for k, one in cables.items()}
+        checks = without_bars(case.summary).checks if state == "ULS" else ()
+        summary = without_bars(case.summary, cables=own, checks=checks)
+        return replace(case, name=name, state=state, summary=summary)
+
+    every = [loaded("LC1", "ULS", 1.0), loaded("LC2", "ULS", 1.2), loaded("LC3", "frequent", 9.0)]
+    strengths = dict.fromkeys(cables, 8.0)
+    verdict = judged(every, cables=strengths)
+    (sentence,) = (text for text in verdict.reasons if "Cable tension" in text)
+    assert sentence == (
+        "ULS: Cable tension, 4 of 10 beyond the limit: A10 150.0 % (LC2), A9 135.0 % (LC2), "
+        "A8 120.0 % (LC2), A7 105.0 % (LC2) of its strength."
+    )
+    rows = governing(judged_in(every, 0.1, strengths))
+    assert [(one.state, one.what, one.member) for one in rows] == [
+        ("ULS", "fabric", ""), ("ULS", "strain", ""), ("ULS", "cable", "A10"),
+        ("frequent", "strain", ""),
+    ]  # fmt: skip
+    assert rows[2].share == pytest.approx(1.5) and rows[2].case == "LC2"
+
+
+def test_limits_in_service_are_part_of_the_verdict(case: Case) -> None:
+    """Least values are below their limit, however far; strengths of a summary come first."""
+    limits = (
+        DesignCheck("deflection", "", 0.8, 0.4),
+        DesignCheck("slope", "", 0.0, 2.0),
+        DesignCheck("ponding", "", 0.0, 0.1),
+    )
+    summary = without_bars(case.summary, checks=limits)
+    text = " ".join(judged([replace(case, state="quasi-permanent", summary=summary)]).reasons)
+    assert (
+        "quasi-permanent: Deflection beyond the limit: whole membrane 200.0 % (snow) of the limit."
+    ) in text
+    assert (
+        "Least slope below the limit: whole membrane > 1000 % (snow) as limit over slope." in text
+    )
+    assert "Ponding" not in text
+    ridge = replace(case.summary.cables["ridge"], strength=100.0)
+    known = without_bars(case.summary, cables={"ridge": ridge})
+    assert "Cable" not in reasons(replace(case, summary=known), cables={"ridge": 0.1})

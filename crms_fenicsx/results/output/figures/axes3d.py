@@ -186,7 +186,7 @@ class Axes3D:
                     ends[:, across] = self.low[across], self.high[across]
                     grid.append(self._flat(ends))
         wall = {"facecolors": "#f4f5f7", "edgecolors": _GRID}
-        add_polygons(self.axes, faces, linewidths=0.7, zorder=0, **wall)
+        add_polygons(self.axes, np.array(faces), linewidths=0.7, zorder=0, **wall)
         add_lines(self.axes, grid, colors=_GRID, linewidths=0.5, zorder=0.1)
         for axis in range(3):
             self._label_edge(axis, self._ruler(axis, far, near), ticks[axis], unit)

@@ -46,7 +46,11 @@ def _limits_of(values: Array) -> tuple[float, float]:
 
 
 def colouring(
-    values: Array | None, label: str, limits: tuple[float, float] | None, colours: str
+    values: Array | None,
+    label: str,
+    limits: tuple[float, float] | None,
+    colours: str,
+    levels: int | None = None,
 ) -> tuple[ScalarMappable | None, str]:
     """Colour scale of values, NaN in grey, or the legend text of a common value."""
     from matplotlib import colormaps
@@ -58,7 +62,8 @@ def colouring(
     same = _common_value(values) if limits is None else None
     if same is not None:
         return None, _in_words(label, *same)
-    colormap = colormaps[colours].with_extremes(bad=NO_VALUE)
+    colormap = colormaps[colours].resampled(levels) if levels else colormaps[colours]
+    colormap = colormap.with_extremes(bad=NO_VALUE)
     scale = Normalize(*(_limits_of(values) if limits is None else limits))
     return ScalarMappable(scale, colormap), ""
 

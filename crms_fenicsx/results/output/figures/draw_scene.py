@@ -14,9 +14,10 @@ from numpy.typing import ArrayLike
 from crms_fenicsx.analysis.equilibrium.system import System
 from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.cabling.cables.deformed_surface import current_surface
+from crms_fenicsx.foundation.meshes.triangles import double_areas
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arguments import PerRank, collective
-from crms_fenicsx.foundation.runtime.arrays import Array, Integers
+from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers
 from crms_fenicsx.foundation.runtime.errors import InputError, PictureWarning, raised_together
 from crms_fenicsx.results.foundations import held_rim
 from crms_fenicsx.results.membrane_results import membrane_results
@@ -28,6 +29,7 @@ from crms_fenicsx.results.quantities import (
     QUANTITIES,
     QUANTITY_OF,
     Solved,
+    load_directions,
     load_label,
     load_values,
 )
@@ -61,6 +63,9 @@ SIGNED = "RdYlBu_r"
 COLOURS = ("height", "displacement", *QUANTITY_OF)
 """Colours of the membrane that `draw` accepts."""
 
+
+LEVELS = 6
+"""Number of colours of loads."""
 
 LOAD = "load "
 """Prefix of the colours of loads, before the load's name."""
@@ -156,6 +161,8 @@ def draw(
     if colour in loads:
         own = load_values(scene, str(colour).removeprefix(LOAD))
         fields["values"] = own[shape.parents]
+        arrows = _load_arrows(scene, str(colour).removeprefix(LOAD), own)
+        options = {"arrows": arrows, "levels": LEVELS, "colours": "Wistia", **options}
     elif colour in QUANTITY_OF:
         fields["values"] = _recovered(system, colour)
     if directions:
@@ -170,7 +177,8 @@ def draw(
     defaults |= {"limits": (0.0, 2.0)} if colour == "state" else {}
     defaults |= {"without": "reinforced corner"} if colour == "utilisation" else {}
     if tensions and (scene.bars or any(cable.taut for cable in scene.cables)):
-        defaults |= {"line_label": with_unit("tension", force), "line_values": "tension"}
+        kind = "axial force" if scene.bars else "tension"
+        defaults |= {"line_label": with_unit(kind, force), "line_values": "tension"}
         defaults |= _signed_colours(scene)
     options = {**defaults, **options}
     if any(cable.state.lifted.any() for cable in scene.cables):
@@ -238,6 +246,27 @@ def _principal_strokes(system: System) -> Array:
     chosen = spread(places, size / MOST_STROKES)
     half = 0.35 * size / MOST_STROKES * ways[chosen]
     return np.stack([places[chosen] - half, places[chosen] + half], axis=1)
+
+
+def _load_arrows(scene: Scene, name: str, values: Array) -> Array:
+    """Arrows (k, 2, 3) of a load with values (m,) in this rank's cells, spread over the surface,
+    that end on it where they press. Collective."""
+    ways, corners = load_directions(scene, name), scene.positions()[scene.V.dofmap.list]
+    corners = corners[: len(values)]
+    normals = double_areas(corners)
+    loaded: Booleans = np.abs(values) > 0.0
+    pressing = (normals * ways).sum(axis=1) < 0.0
+    pieces = scene.comm.allgather([
+        one[loaded] for one in (corners.mean(axis=1), ways, np.abs(values), pressing)
+    ])  # fmt: skip
+    places, ways, sizes, pressing = (np.concatenate([one[k] for one in pieces]) for k in range(4))
+    if not len(places):
+        return np.zeros((0, 2, 3))
+    step = 1.5 * scene.membrane.size / MOST_STROKES
+    chosen = spread(places, step)
+    long = 0.9 * step * ways[chosen] * (sizes[chosen] / sizes.max())[:, None]
+    tails = places[chosen] - long * pressing[chosen, None]
+    return np.stack([tails, tails + long], axis=1)
 
 
 def spread(places: Array, step: float) -> Integers:

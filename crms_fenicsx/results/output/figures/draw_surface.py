@@ -70,6 +70,8 @@ class ShapeOptions:
         End points of held edges, drawn as thick lines.
     colours : str
         Name of a matplotlib colour map.
+    levels : int, optional
+        Number of colours; by default many.
     line_values : str, optional
         Name of the lines' data that colour them ("tension"), with a separate colour bar.
     line_label, line_limits, line_colours
@@ -89,6 +91,8 @@ class ShapeOptions:
         A second shape, such as the reference, drawn faintly.
     strokes : (k, 2, 3) array of length, optional
         End points of short lines on the surface, such as principal directions.
+    arrows : (k, 2, 3) array of length, optional
+        Tails and tips of arrows, such as loads.
     edges : bool
         Whether to draw edges of triangles that are large enough.
     hidden : (h, 2) array of int, optional
@@ -109,6 +113,7 @@ class ShapeOptions:
     supports: ArrayLike | None = None
     held: ArrayLike | None = None
     colours: str = "viridis"
+    levels: int | None = None
     line_values: str | None = None
     line_label: str = ""
     line_limits: tuple[float, float] | None = None
@@ -121,6 +126,7 @@ class ShapeOptions:
     perspective: bool = True
     ghost: tuple[ArrayLike, ArrayLike] | None = None
     strokes: ArrayLike | None = None
+    arrows: ArrayLike | None = None
     edges: bool = True
     hidden: ArrayLike | None = None
     box: bool | tuple[ArrayLike, ArrayLike] = True
@@ -186,7 +192,7 @@ def draw_shape(
     near = how.perspective and abs(how.view[1]) < 85.0  # parallel, so that plans can be measured
     camera = Camera(*how.view, 0.5 * (low + high), 3.5 * size if near else np.inf)
 
-    paint, note = colouring(values, how.label, how.limits, how.colours)
+    paint, note = colouring(values, how.label, how.limits, how.colours, how.levels)
     bars = [
         (scale, text) for scale, text in ((paint, how.label), (style.paint, line_label)) if scale
     ]
@@ -195,11 +201,10 @@ def draw_shape(
     held = np.zeros((0, 2, 3)) if how.held is None else np.asarray(how.held, dtype=np.float64)
     feet = np.zeros((0, 3)) if how.supports is None else np.asarray(how.supports, dtype=np.float64)
     feet = feet[np.all((feet >= low - 1e-6 * size) & (feet <= high + 1e-6 * size), axis=1)]
-    off_colour = style.off_colour if striped else CABLE
     legend = [
         (_FABRIC, note, "patch"), (NO_VALUE, without, "patch"), (CABLE, style.note, "line"),
-        (off_colour, striped, "stripes"), (INK, "held edge" if len(held) else "", "line"),
-        (INK, "support" if len(feet) else "", "foot"),
+        (style.off_colour if striped else CABLE, striped, "stripes"),
+        (INK, "held edge" * bool(len(held)), "line"), (INK, "support" * bool(len(feet)), "foot"),
     ]  # fmt: skip
     axes3d = Axes3D(camera, low, high, how.title, len(bars), how.width, legend)
     for place, (scale, text) in enumerate(bars):
@@ -218,8 +223,9 @@ def draw_shape(
     _paint_seen(axes3d, held, flat, _BEHIND * size, INK, 2.4)
     if len(feet):
         _paint_feet(axes3d, camera.project(feet), flat, tolerance)
-    if how.strokes is not None and np.size(how.strokes):
-        _paint_seen(axes3d, np.asarray(how.strokes), flat, tolerance, "white", 1.6)
+    strokes: Array = np.reshape(() if how.strokes is None else how.strokes, (-1, 2, 3))
+    _paint_seen(axes3d, strokes, flat, tolerance, "white", 1.6)
+    _paint_arrows(axes3d, how.arrows)
     clip = None if corners is None else (low - 1e-6 * size, high + 1e-6 * size)
     paint_lines(axes3d, lines, style, flat, tolerance, clip, how.show_names)
     return axes3d.finished(path, how.dpi)
@@ -336,18 +342,19 @@ def _paint_triangles(
     rimmed: Booleans = np.all(shown, axis=1) & (strength > 0)
     rims = np.where(rimmed[:, None], dark, faces)
     thick = 0.25 + 0.2 * strength * rimmed
-    polygons = list(flat[..., :2])
+    polygons = flat[..., :2]
     depth: Array = np.mean(flat[..., 2], axis=1)
     # where only some sides have edges, these are separate strokes right after the face
     some, side = np.nonzero(shown & (~rimmed & (strength > 0))[:, None])
-    polygons += list(np.stack([flat[some, side, :2], flat[some, (side + 1) % 3, :2]], axis=1))
+    ends = flat[some, side, :2], flat[some, (side + 1) % 3, :2]
+    polygons = np.concatenate([polygons, np.stack([*ends, ends[1]], axis=1)])
     faces, rims = np.concatenate([faces, dark[some]]), np.concatenate([rims, dark[some]])
     thick = np.concatenate([thick, 0.25 + 0.2 * strength[some]])
     depth = np.concatenate([depth, depth[some]])
     if faint is not None:
         extra = axes3d.camera.project(faint)
         strength = _edge_strength(axes3d, extra)
-        polygons += list(extra[..., :2])
+        polygons = np.concatenate([polygons, extra[..., :2]])
         faces = np.concatenate([faces, np.tile((*_GHOST, 0.10), (len(extra), 1))])
         lines = np.column_stack([np.tile(_GHOST, (len(extra), 1)), 0.5 * strength])
         rims = np.concatenate([rims, lines])
@@ -355,7 +362,7 @@ def _paint_triangles(
         depth = np.concatenate([depth, extra[..., 2].mean(axis=1)])
     order = np.argsort(depth, kind="stable")
     add_polygons(
-        axes3d.axes, [polygons[i] for i in order], facecolors=faces[order],
+        axes3d.axes, polygons[order], facecolors=faces[order],
         edgecolors=rims[order], linewidths=thick[order], joinstyle="round", zorder=1,
     )  # fmt: skip
 
@@ -369,6 +376,18 @@ def _paint_seen(
         seen = visible(pieces.mean(axis=1), flat, tolerance)
         add_lines(axes3d.axes, pieces[seen, :, :2], colors=[colour], linewidths=thick,
                   capstyle="round", zorder=2)  # fmt: skip
+
+
+def _paint_arrows(axes3d: Axes3D, given: ArrayLike | None) -> None:
+    """Paint arrows (k, 2, 3), tail and tip."""
+    if given is None or not np.size(given):
+        return
+    arrows = axes3d.camera.project(np.asarray(given))
+    tails, ways = arrows[:, 0, :2], (arrows[:, 1] - arrows[:, 0])[:, :2]
+    axes3d.axes.quiver(
+        *tails.T, *ways.T, angles="xy", scale_units="xy", scale=1.0, units="dots", width=1.6,
+        headwidth=4.5, headlength=5.5, headaxislength=5.0, color=INK, zorder=4.2,
+    )  # fmt: skip
 
 
 def _paint_feet(axes3d: Axes3D, places: Array, flat: Array, tolerance: float) -> None:

@@ -57,11 +57,11 @@ def add_lines(axes: Axes, lines: Iterable[ArrayLike], **look: Any) -> None:
     axes.add_collection(LineCollection([np.asarray(line) for line in lines], **look))
 
 
-def add_polygons(axes: Axes, polygons: Iterable[Array], **look: Any) -> None:
-    """Draw polygons, (k, 2) each, in one style or a style each."""
+def add_polygons(axes: Axes, polygons: Array, **look: Any) -> None:
+    """Draw polygons (n, k, 2) in one style or a style each."""
     from matplotlib.collections import PolyCollection
 
-    axes.add_collection(PolyCollection(list(polygons), **look))
+    axes.add_collection(PolyCollection(polygons, **look))  # type: ignore[arg-type]  # an array is fast
 
 
 def png_of(figure: Figure, dpi: int, region: Bbox | str = "tight") -> bytes:

@@ -42,7 +42,7 @@ def draw_forces(plan: ForcePlan, unit: str, force: str, dpi: int, width: float =
     places: list[Array] = [plan.outline[..., :2].reshape(-1, 2), plan.rim[..., :2].reshape(-1, 2)]
     places += [at[None, :2] for at, _ in plan.points.values()]
     flats = np.concatenate(places)
-    air = ROOM + 0.2 if plan.most_per_length > 0.0 else ROOM
+    air = ROOM + 0.3 if plan.most_per_length > 0.0 else ROOM
     axes, size = _axes(flats, unit, width, air)
     centre = (flats.min(axis=0) + flats.max(axis=0)) / 2
     high = float(np.linalg.norm(plan.per_length, axis=2).max(initial=0.0))
@@ -62,6 +62,7 @@ def draw_forces(plan: ForcePlan, unit: str, force: str, dpi: int, width: float =
         add_lines(axes, outer, colors=INK, linewidths=0.6)
     add_lines(axes, plan.outline[..., :2], colors="#9aa3ad", linewidths=0.7, zorder=1)
     add_lines(axes, plan.rim[..., :2], colors=RIM, linewidths=1.4)
+    named = list[tuple[str, list[Place]]]()
     for name, (at, one) in plan.points.items():
         size_of = float(np.linalg.norm(one))
         colour = INK if size_of == 0.0 else UPLIFT if one[2] > 0.0 else DOWNWARD
@@ -76,18 +77,21 @@ def draw_forces(plan: ForcePlan, unit: str, force: str, dpi: int, width: float =
         side = (at[:2] - centre) / np.maximum(np.ptp(flats, axis=0), 1e-300)
         across = abs(side[1]) > abs(side[0])  # at the upper or lower side
         out = np.sign(side) * (not across, across)
-        text_at = at[:2] + 1.04 * high * out if high else at[:2]
+        text_at = at[:2] + 1.04 * high * out
         sign = "" if size_of == 0.0 else "↑" if one[2] > 0.0 else "↓"
         value = f" {sign}{abs(one[2]):.3g}" if few else ""
-        away = out * 9.0
-        _name(axes, f"{name}{value}", text_at, away)
-        if high and across:
+        if not high:
+            named.append((f"{name}{value}", [(at[:2], way) for way in _ways(at[:2] - centre)]))
+            continue
+        _name(axes, f"{name}{value}", text_at, out * 9.0)
+        if across:
             axes.texts[-1].set(rotation=90, va="bottom" if out[1] > 0.0 else "top")
+    _write_apart(axes, named, plan.rim[..., :2])
     text = [f"largest horizontal force {plan.most:.4g} {force}".rstrip()] if plan.points else []
     if plan.most_per_length > 0.0:
         per = f"{force}/{unit}" if force and unit else ""
         text.append(f"largest force of the rim {plan.most_per_length:.4g} {per}".rstrip())
-    axes.set_title("; ".join(text), fontsize=8, color=INK)
+    axes.set_title("\n".join(text), fontsize=8, color=INK)
     return png_of(axes.figure, dpi)
 
 

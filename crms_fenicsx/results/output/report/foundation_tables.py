@@ -4,8 +4,10 @@ of clamps, anchors and cables to order."""
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import count
 
 import numpy as np
@@ -14,13 +16,15 @@ from crms_fenicsx.results.cable_and_bar_results import Force, triple
 from crms_fenicsx.results.cable_order import Order
 from crms_fenicsx.results.foundations import FoundationPoint
 from crms_fenicsx.results.output.report.case import Case
-from crms_fenicsx.results.output.report.page import Measured, Table, Units
+from crms_fenicsx.results.output.report.page import Table, Units
 from crms_fenicsx.results.output.report.results_tables import ResultTables, Row, clean, with_size
 
 DIRECTION = "Horizontal{force}|Direction in plan [deg]|Inclination [deg]"
 """Headings of a force's horizontal component and angles."""
-NOTHING = 1e-4
+NOTHING = 1e-3
 """Components below this fraction of the largest are shown as zero."""
+STATIONS = 40
+"""Largest number of places along the rim in its table."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +36,7 @@ class FoundationTables:
     # names of cable ends and joints, by foundation
     carried: Mapping[str, Sequence[str]]
 
-    @property
+    @cached_property
     def points(self) -> dict[str, dict[str, FoundationPoint]]:
         """Foundation points by foundation and case; those outside `carried` are F1, F2 ..."""
         of_case = {case.name: case.foundations.points for case in self.cases}
@@ -60,7 +64,10 @@ class FoundationTables:
     def places(self) -> Table:
         """Positions of the foundations, and the members that meet there."""
         rows: list[Row] = [
-            (label, *clean(one.at, max(map(abs, one.at)), 1e-4), ", ".join(one.members))
+            (
+                label, *map(self.units.exact, clean(one.at, max(map(abs, one.at)), 1e-4)),
+                ", ".join(re.sub("^(start|end) of ", "", name) for name in one.members),
+            )
             for label, found in self.points.items() for one in list(found.values())[:1]
         ]  # fmt: skip
         columns = self.units.headings("Foundation|x{length}|y{length}|z{length}|Attached")
@@ -84,17 +91,76 @@ class FoundationTables:
         )
         return Table("Forces on the foundations", columns, rows, "foundations", headings=2)
 
+    def governing(self) -> Table:
+        """Forces and moments in those combinations in which a foundation's are largest."""
+        every = self.forces()
+        of = dict[str, set[str]]()
+        for label, found in self.points.items():
+            up, down, *others = self._governing(found)
+            lift = {up} if found[up].force[2] > 0.0 else set()
+            of[label] = {*others, *lift, *({down} if found[down].force[2] < 0.0 else ())}
+        rows = [row for row in every.rows if str(row[1]) in of[str(row[0])]]
+        caption = "Forces on the foundations in their governing combinations"
+        return replace(every, caption=caption, rows=rows, name="")
+
+    @staticmethod
+    def _governing(found: Mapping[str, FoundationPoint]) -> tuple[str, str, str, str]:
+        """Combinations of the largest uplift, downward, horizontal and total force."""
+        up, down, flat, most = (
+            max(found, key=lambda name, of=of: of(found[name].force))  # type: ignore[misc]
+            for of in (
+                lambda f: f[2], lambda f: -f[2], lambda f: math.hypot(f[0], f[1]),
+                lambda f: math.dist(f, (0.0, 0.0, 0.0)),
+            )
+        )  # fmt: skip
+        return up, down, flat, most
+
+    def largest(self) -> list[tuple[str, str, float, str]]:
+        """Kind of force, foundation, size and combination of the largest of all (force)."""
+        kinds = {"uplift": 1, "downward": 3, "horizontal": 5}
+        found = []
+        for kind, k in kinds.items():
+            rows = [(row[k], str(row[0]), str(row[k + 1])) for row in self.envelope().rows]
+            sizes = [(size, label, case) for size, label, case in rows if isinstance(size, float)]
+            if sizes:
+                size, label, case = max(sizes)
+                found.append((kind, label, size, case))
+        return found
+
+    def rim(self) -> Table:
+        """Forces per length along the held edges: the largest at each of up to `STATIONS` places,
+        with the combination."""
+        first, rows = self.cases[0].foundations, list[Row]()
+        ends, caption = first.rim.reshape(-1, 3), "Forces per length on the held edges"
+        if not len(ends):
+            return Table(caption, (), [])
+        near = 1e-9 * float(np.ptp(ends, axis=0).max())
+        places, where = np.unique(np.round(ends / near), axis=0, return_index=True)
+        turn = np.arctan2(*(places - places.mean(axis=0))[:, 1::-1].T)
+        order = np.argsort(turn, kind="stable")
+        chosen = where[order[:: math.ceil(len(order) / STATIONS)]]
+        for k in map(int, chosen):
+            own = {
+                case.name: triple(case.foundations.per_length.reshape(-1, 3)[k])
+                for case in self.cases if case.foundations.rim.shape == first.rim.shape
+            }  # fmt: skip
+            size, governs = max((math.hypot(*one), name) for name, one in own.items())
+            lift, up = max((one[2], name) for name, one in own.items())
+            rows.append((
+                *map(self.units.exact, triple(ends[k])), *clean(own[governs], size, NOTHING),
+                size, governs, *((lift, up) if lift > NOTHING * size else (None, None)),
+            ))  # fmt: skip
+        columns = self.units.headings(
+            "x{length}|y{length}|z{length}|fx{stress}|fy{stress}|fz{stress}|Size{stress}|Governs|"
+            "Largest uplift{stress}|Governs uplift"
+        )
+        return Table(caption, columns, rows, "rim")
+
     def envelope(self) -> Table:
         """Governing combinations of each foundation."""
         rows: list[Row] = []
         for label, found in self.points.items():
-            up, down, flat, most = (
-                max(found, key=lambda name, of=of: of(found[name].force))  # type: ignore[misc]
-                for of in (
-                    lambda f: f[2], lambda f: -f[2], lambda f: math.hypot(f[0], f[1]),
-                    lambda f: math.dist(f, (0.0, 0.0, 0.0)),
-                )
-            )  # fmt: skip
+            up, down, flat, most = self._governing(found)
             lift, push = found[up].force[2], -found[down].force[2]
             noise = 1e-6 * math.hypot(*found[most].force)
             rows.append((
@@ -125,6 +191,36 @@ class FoundationTables:
         return Table(
             "Forces of the membrane on its held edges", columns, rows, "support_lines", headings=2
         )
+
+    def lines_by_case(self) -> Table:
+        """Forces on lines of held edges in the cases in which the line's are largest."""
+        every, kept = self.lines(), dict[str, set[str]]()
+        for name in dict.fromkeys(row[0] for row in every.rows):
+            own = [row for row in every.rows if row[0] == name]
+            for k in (2, 3, 4, 6):  # sums, and the mean per length
+                one = max(own, key=lambda row, k=k: abs(row[k] or 0.0))  # type: ignore[misc]
+                kept.setdefault(str(name), set()).add(str(one[1]))
+        rows = [row for row in every.rows if str(row[1]) in kept[str(row[0])]]
+        caption = f"{every.caption}, in their governing combinations"
+        return replace(every, caption=caption, rows=rows, name="")
+
+    def balance_by_case(self) -> Table:
+        """Sums of all loads and of all foundation forces, a row for each case."""
+        rows: list[Row] = []
+        for case in self.cases:
+            of = case.foundations
+            loads = np.sum([(0.0, 0.0, 0.0), *of.loads.values()], axis=0).tolist()
+            acting = [*of.loads.values(), *(one.force for one in of.points)]
+            scale = max([abs(x) for one in acting for x in one], default=0.0)
+            rows.append((
+                case.name, *clean(loads, scale, NOTHING), *clean(of.total, scale, NOTHING),
+                f"{max(of.unbalanced, 1e-8):.0e}",
+            ))  # fmt: skip
+        columns = self.units.headings(
+            "Combination|Loads, Fx{force}|Fy{force}|Fz{force}|Foundations, Fx{force}|Fy{force}|"
+            "Fz{force}|Balanced to"
+        )
+        return Table("Balance of loads and foundations", columns, rows)
 
     def balance(self) -> Table:
         """Sums of the loads and of all foundation forces."""
@@ -167,10 +263,6 @@ def _angle(way: Sequence[float]) -> float:
     return math.degrees(math.atan2(way[1], way[0])) % 360.0
 
 
-DECIMALS = {"mm": 0, "cm": 1, "in": 2}
-"""Decimals of lengths to order, to the millimetre, by unit; 3 of metres, feet and unknown ones."""
-
-
 def clamps(results: ResultTables) -> Table:
     """Tensions on both sides of each clamp, and its force, in all cases."""
     rows: list[Row] = [
@@ -202,17 +294,16 @@ def cables_to_order(cables: Order, units: Units) -> Table:
     """Manufacturing lengths and marks of cables."""
     kinds = ["", "force", "length", "force", "length", "", "", "length", "length", "length"]
     columns = [name + units[kind] for name, kind in zip(cables.COLUMNS, kinds, strict=True)]
-    decimals = DECIMALS.get(units.length, 3)
     rows = [
         [
-            Measured(cell, decimals) if kind == "length" and isinstance(cell, float) else cell
+            units.exact(cell) if kind == "length" and isinstance(cell, float) else cell
             for cell, kind in zip(row, kinds, strict=True)
         ]
         for row in cables.rows()
     ]
     start, end = cables.allowance
     caption = (
-        f"Cables to order, measured at {cables.temperature:g} K above the model's temperature; cut "
-        f"with allowances of {start:g} and {end:g}"
+        f"Fabrication lengths of the cables, measured at {cables.temperature:g} K above the "
+        f"model's temperature; cut with allowances of {start:g} and {end:g}"
     )
     return Table(caption, columns, rows, "order")

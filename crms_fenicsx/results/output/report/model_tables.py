@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import platform
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from datetime import datetime, timezone
 from typing import Any
@@ -43,6 +43,7 @@ class Model:
     outline: Array = field(default_factory=lambda: np.zeros((0, 2, 3)))  # in the base state
     pressure: float = 0.0  # of the base state (force per area)
     factors: Mapping[str, float] = field(default_factory=dict)  # of the loads in the base state
+    basis: Mapping[str, str] = field(default_factory=dict)  # what loads say of codes, by name
 
 
 def model_of_scene(scene: Scene, units: Units, cable_strengths: Mapping[str, float]) -> Model:
@@ -51,7 +52,7 @@ def model_of_scene(scene: Scene, units: Units, cable_strengths: Mapping[str, flo
     low, high = box(scene.comm, scene.membrane.stress_free)
     extents = [b - a for a, b in zip(low, high, strict=True)]
     strengths: list[Row] = [
-        (part_name(part), *pair) for part, pair in scene.membrane.strengths.items()
+        (part_name(part), *one.strength) for part, one in scene.membrane.strengths.items()
     ]
     listed: dict[str, tuple[str, str, list[Row]]] = {
         "mesh": ("Mesh and theory", "Property|Value", _mesh(scene, areas, extents, units)),
@@ -65,13 +66,13 @@ def model_of_scene(scene: Scene, units: Units, cable_strengths: Mapping[str, flo
         "cables": (
             "Cables",
             "Cable|EA{force}|Unstressed length{length}|Friction|Start / end|Lies|Strength{force}",
-            [_cable(cable, cable_strengths.get(cable.name)) for cable in scene.cables],
+            [_cable(cable, units, cable_strengths.get(cable.name)) for cable in scene.cables],
         ),
         "bars": (
             "Bars",
             "Bar|Kind|Strength{force}|Buckling curve or factor|EI{bending}|EA{force}|"
-            "Unstressed length{length}|Start|End",
-            [_bar(bar) for bar in scene.bars],
+            "Unstressed length{length}|Start at x; y; z{length}|End at x; y; z{length}",
+            [_bar(bar, units) for bar in scene.bars],
         ),
         "joints": (
             "Joints",
@@ -80,9 +81,10 @@ def model_of_scene(scene: Scene, units: Units, cable_strengths: Mapping[str, flo
                 (
                     joint.name,
                     ", ".join(x for x, k in COMPONENTS.items() if joint.held[k]),
-                    *clean(floats(joint.position), max(extents), 1e-4),
+                    *map(units.exact, clean(floats(joint.position), max(extents), 1e-4)),
                 )
                 for joint in scene.joints
+                if not is_unnamed(joint.name)
             ],
         ),
         "loads": (
@@ -92,13 +94,17 @@ def model_of_scene(scene: Scene, units: Units, cable_strengths: Mapping[str, flo
         ),
     }
     tables = {
-        name: Table(caption, units.headings(columns), rows)
+        name: Table(caption, units.headings(columns), rows, small=name == "bars")
         for name, (caption, columns, rows) in listed.items()
     }
     return Model(
-        max(extents), scene.comm.size, tables, pressure=scene.pressure, factors=scene.factors
-    )
+        max(extents), scene.comm.size, tables, pressure=scene.pressure, factors=scene.factors,
+        basis=_basis(scene, units),
+    )  # fmt: skip
 
+
+PRESSED = "Pressure acts on"
+"""Property that only models under inner pressure need."""
 
 STATE = {
     "materials": (), "supports": (3,), "cables": (2,), "bars": (6,), "joints": (2, 3, 4),
@@ -232,7 +238,7 @@ def _supports(scene: Scene) -> list[Row]:
     return [*rows, ("all held vertices", "", held, None)] if held else rows
 
 
-def _cable(cable: LaidCable, strength: float | None) -> Row:
+def _cable(cable: LaidCable, units: Units, strength: float | None) -> Row:
     friction = cable.cable.friction
     friction = friction if isinstance(friction, Friction) else Friction(friction)
     data = _listed({one.name: _text(getattr(friction, one.name)) for one in fields(friction)})
@@ -243,15 +249,29 @@ def _cable(cable: LaidCable, strength: float | None) -> Row:
         joint or ("anchored" if end != "tied" else "tied")
         for end, joint in zip(cable.ends, cable.state.laid.joints, strict=True)
     )
-    return cable.name, cable.cable.EA, cable.L0, "none" if free else data, ends, lies, strength
+    L0, friction_data = units.exact(cable.L0), "none" if free else data
+    return cable.name, cable.cable.EA, L0, friction_data, ends, lies, strength
 
 
-def _bar(bar: PlacedBar) -> Row:
-    kind = "guy, tension only" if bar.bar.tension_only else "tension and compression"
-    start, end = (one.name if isinstance(one, Joint) else f"vertex at {_text(one.place)}"
-                  for one in (bar.start, bar.end))  # fmt: skip
+def _bar(bar: PlacedBar, units: Units) -> Row:
+    kind = "tie, tension only" if bar.bar.tension_only else "strut"
+    start, end = (
+        _place(one.place, units) if not isinstance(one, Joint)
+        else _place(one.position, units) if is_unnamed(one.name) else one.name
+        for one in (bar.start, bar.end)
+    )  # fmt: skip
     of = bar.bar
-    return bar.name, kind, of.strength, of.curve, of.EI, of.EA, bar.L0, start, end
+    L0 = units.exact(bar.L0)
+    return bar.name, kind, of.strength, of.curve, of.EI, of.EA, L0, start, end
+
+
+def _place(at: Iterable[float], units: Units) -> str:
+    return "; ".join(shown(units.exact(float(x) + 0.0)) for x in at)
+
+
+def is_unnamed(joint: str) -> bool:
+    """Whether a joint has the name that it gets as the end of its bar."""
+    return joint.startswith(("start of ", "end of "))
 
 
 def _loads(scene: Scene) -> list[Row]:
@@ -270,6 +290,17 @@ def _loads(scene: Scene) -> list[Row]:
     return rows
 
 
+def _basis(scene: Scene, units: Units) -> dict[str, str]:
+    """Velocity pressures, and what the functions of loads say of themselves."""
+    found = dict[str, str]()
+    for load in scene.loads:
+        peak = f"q_p = {number(load.peak)}{units.plain('pressure')}" if load.peak else ""
+        text = ", ".join(x for x in (peak, load.basis) if x)
+        if text:
+            found[f"Load {load.name}"] = text
+    return found
+
+
 def _theory(scene: Scene) -> dict[str, str]:
     """Texts on pressure, laws, sealed air, floor and user-defined terms."""
     pressed, comm = scene.membrane.pressed, scene.comm
@@ -279,7 +310,7 @@ def _theory(scene: Scene) -> dict[str, str]:
         where = ", ".join(sorted(name for name, count in free.items() if count == 0))
     else:
         where = "all of the membrane"
-    found = {"Pressure acts on": where}
+    found = {PRESSED: where}
     found["Strain"] = {
         "total": "Green-Lagrange, from the stress-free shape", "step": "step-wise",
     }[scene.strain_law]  # fmt: skip
@@ -308,14 +339,15 @@ def versions(ranks: int) -> list[tuple[str, str]]:
     """Date and software versions of the computation."""
     package = __name__.partition(".")[0]
     used = (
-        f"{package} {sys.modules[package].__version__}",
         f"DOLFINx {getattr(dolfinx, '__version__', '')}",
         f"PETSc {'.'.join(map(str, PETSc.Sys.getVersion()))}",
         f"NumPy {np.__version__}",
         f"Python {platform.python_version()}",
     )
+    now = datetime.now(timezone.utc)
     processes = "1 process" if ranks == 1 else f"{ranks} processes"
     return [
-        ("Date", datetime.now(timezone.utc).strftime("%Y-%m-%d %H:%M UTC")),
-        ("Computed with", f"{', '.join(used)}, on {processes}"),
+        ("Date", f"{now:%Y-%m-%d}"),
+        ("Program", f"{package} {sys.modules[package].__version__}"),
+        ("Computed with", f"{', '.join(used)}, on {processes}, {now:%H:%M} UTC"),
     ]

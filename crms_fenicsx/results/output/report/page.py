@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import base64
 import math
-import os
-import shutil
 import struct
-import subprocess
-import tempfile
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
@@ -25,6 +22,9 @@ Cell = str | int | float | None
 SHORT = 8
 """Number of rows up to which a table is kept on one printed page."""
 
+WHOLE = "whole membrane"
+"""Name of all parts."""
+
 EMPTY = "\u2013"
 """Dash shown in an empty cell."""
 
@@ -36,6 +36,9 @@ PAGE = "report.html"
 
 MACROS = "parts.html"
 """Template of tables and figures, which a file beside the user's template replaces."""
+
+DECIMALS = {"mm": 0, "cm": 1, "in": 2}
+"""Decimals of lengths to the millimetre, by unit; 3 of metres, feet and unknown ones."""
 
 LARGEST = 4_900_000
 """Largest size of a page with pictures (bytes)."""
@@ -96,11 +99,11 @@ class Verdict:
 
 
 @dataclass(frozen=True)
-class KeyFigures:
-    """The most important results."""
+class Signatures:
+    """Lines to be signed."""
 
-    rows: Sequence[tuple[str, str, str]]  # title, value and source
-    kind: ClassVar[str] = "cards"
+    rows: Sequence[tuple[str, str, str]]  # role, name and date, or "" to be filled in by hand
+    kind: ClassVar[str] = "signatures"
 
 
 @dataclass(frozen=True)
@@ -140,7 +143,7 @@ class BarChart:
     rows: Sequence[tuple[str, float, float]]
     limit: float | None = None
     kind: ClassVar[str] = "chart"
-    MOST: ClassVar[int] = 40  # largest number of bars; more are unreadable
+    MOST: ClassVar[int] = 24  # largest number of bars; more are read in a table
 
     @property
     def is_empty(self) -> bool:
@@ -175,6 +178,7 @@ class Table:
     rows: Sequence[Sequence[Cell]]  # one cell per column
     name: str = ""  # suffix of the CSV file's name; "" writes none
     headings: int = 1  # number of columns that name the row
+    small: bool = False  # whether many columns need small print
     kind: ClassVar[str] = "table"
 
     @property
@@ -240,6 +244,35 @@ class PageSection:
         ]  # fmt: skip
 
 
+PARTS: tuple[type[PagePart], ...] = (
+    Paragraph, Notes, Link, Verdict, Signatures, Figure, Figures, BarChart, Table,
+)  # fmt: skip
+"""All parts of sections; `parts.html` has a macro for the kind of each."""
+
+
+def check_template(template: Path) -> None:
+    """Raise `InputError` if a user's template, or the macros beside it, cannot write a report."""
+    from jinja2 import TemplateError
+
+    title, kinds = "6e3c", [one.kind for one in PARTS]
+    try:
+        macros = environment(template).get_template(MACROS)
+        missing = [kind for kind in kinds if not hasattr(macros.module, kind)]
+        if missing:
+            raise InputError(
+                f"report: {macros.filename} lacks the macros {', '.join(missing)}, as those of an "
+                "earlier version; add them as in the package's parts.html, or remove the file."
+            )
+        text = page("", [], [PageSection(title, [])], template)
+    except TemplateError as error:
+        raise InputError(f"report: the template {str(template)!r} fails: {error}") from None
+    if title not in text:
+        raise InputError(
+            f"report: the template {str(template)!r} leaves out the report's sections; begin it "
+            'with {% extends "report.html" %}, or write `sections` as the package\'s template does.'
+        )
+
+
 def page(
     title: str, about: Sequence[tuple[str, str]], sections: Sequence[PageSection],
     template: Path | None = None,
@@ -253,8 +286,8 @@ def page(
     return rendered(PAGE, template, title=title, about=about, sections=numbered)
 
 
-def rendered(name: str, template: Path | None = None, **values: Any) -> str:
-    """A template of the package, or the user's, with values."""
+def environment(template: Path | None) -> Any:
+    """The jinja2 environment of the package's templates, or of a user's and files beside it."""
     from jinja2 import ChoiceLoader, DictLoader, Environment, FileSystemLoader, StrictUndefined
 
     own = Path(__file__).parent / "templates"
@@ -266,9 +299,15 @@ def rendered(name: str, template: Path | None = None, **values: Any) -> str:
         autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined,
     )  # fmt: skip
     jinja.filters["cell"] = shown
+    return jinja
+
+
+def rendered(name: str, template: Path | None = None, **values: Any) -> str:
+    """A template of the package, or the user's, with values."""
+    jinja = environment(template)
     if template is None:
-        return jinja.get_template(name).render(**values)
-    return jinja.from_string(template.read_text(encoding="utf-8")).render(**values)
+        return str(jinja.get_template(name).render(**values))
+    return str(jinja.from_string(template.read_text(encoding="utf-8")).render(**values))
 
 
 def shown(value: Cell) -> str:
@@ -276,7 +315,7 @@ def shown(value: Cell) -> str:
     if value is None:
         return EMPTY
     if isinstance(value, Measured):
-        return f"{value:.{value.decimals}f}".replace("-", MINUS)
+        return f"{round(value, value.decimals) + 0.0:.{value.decimals}f}".replace("-", MINUS)
     return number(value) if isinstance(value, float) else str(value)
 
 
@@ -295,10 +334,11 @@ def number(value: float) -> str:
 
 
 def per_cent(share: float) -> str:
-    """A fraction in per cent; small non-zero ones are shown as "< 0.1 %"."""
+    """A fraction in per cent; small non-zero ones are shown as "< 0.1 %", 10 and more as
+    "> 1000 %"."""
     if 0.0 < share < 5e-4:
         return "< 0.1 %"
-    return f"{100 * share:.1f} %"
+    return f"{100 * share:.1f} %" if share < 10.0 else "> 1000 %"
 
 
 def place(at: Sequence[float], size: float) -> str:
@@ -324,48 +364,34 @@ class Units:
         """Unit of a kind of quantity as " m", without brackets."""
         return self[kind].replace("[", "").replace("]", "")
 
+    def exact(self, length: float) -> Measured:
+        """A length to the millimetre."""
+        return Measured(length, DECIMALS.get(self.length, 3))
+
     def headings(self, text: str) -> list[str]:
         """Headings from a text such as "Length{length}|State", with units."""
         return text.format_map(self).split("|")
 
 
-BROWSERS = (
-    "chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome",
-    "microsoft-edge", "msedge", "weasyprint",
-)  # fmt: skip
-"""Programs that print pages, in the order of search."""
+INSTALL = (
+    "report: pdf=True needs WeasyPrint, which is missing or lacks its libraries ({}): on Debian "
+    "apt install weasyprint, elsewhere pip install weasyprint or conda install weasyprint. Without "
+    "pdf=True open the page in any browser, and print it to a file on A4."
+)
 
 
-def browser() -> str:
-    """Path of the browser: from the variable CRMS_BROWSER, or the first one found."""
-    own = os.environ.get("CRMS_BROWSER")
-    names = [own] if own else BROWSERS
-    found = next((path for name in names if (path := shutil.which(name))), "")
-    if not found:
-        raise InputError(
-            f"report: pdf=True needs a browser that prints, and there is no {own or BROWSERS[0]}; "
-            "install one (apt install weasyprint) or name one in the variable CRMS_BROWSER. "
-            "Without pdf=True open the page in any browser, and print it to a file on A4."
-        )
-    return found
+def check_printing() -> None:
+    """Raise `InputError` if WeasyPrint cannot be imported."""
+    try:
+        import weasyprint  # noqa: F401
+    except (ImportError, OSError) as error:  # OSError: Pango is missing
+        raise InputError(INSTALL.format(error)) from None
 
 
 def print_page(html: str, path: Path) -> None:
-    """Print an HTML page to PDF on A4."""
-    with tempfile.TemporaryDirectory() as folder:
-        page, pdf = Path(folder) / "page.html", Path(folder) / "page.pdf"
-        page.write_text(html, encoding="utf-8")
-        command = [
-            browser(), "--headless", "--no-sandbox", "--disable-gpu", "--no-pdf-header-footer",
-            f"--user-data-dir={folder}/profile", f"--print-to-pdf={pdf}", page.as_uri(),
-        ]  # fmt: skip
-        if Path(command[0]).name == "weasyprint":
-            command[1:] = ["--quiet", page.as_uri(), str(pdf)]
-        try:
-            done = subprocess.run(command, capture_output=True, text=True, timeout=120)
-            trouble = done.stderr.strip().splitlines()[-1:] if done.returncode else []
-        except subprocess.TimeoutExpired:
-            trouble = ["it took more than 120 s"]
-        if not pdf.exists():
-            raise InputError(f"report: {command[0]} printed no PDF; {''.join(trouble)}")
-        path.write_bytes(pdf.read_bytes())
+    """Print an HTML page to a tagged PDF on A4."""
+    from weasyprint import HTML
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # its own, of the library below it
+        HTML(string=html).write_pdf(path, pdf_variant="pdf/ua-1")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import math
 import re
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
@@ -46,8 +45,11 @@ from crms_fenicsx.results.reactions import gap
 from crms_fenicsx.results.recovered_values import judged_utilisation, patches
 from crms_fenicsx.results.view_data import Line, to_pyvista, whole_shape
 
-SHARPEST = 150
-"""Largest resolution of pictures (pixels per inch), for up to 20 of them."""
+SHARPEST = 190
+"""Resolution of pictures (pixels per inch)."""
+
+PICTURED = 12
+"""Number of pictures up to which each state has one of each colour; of more, those that govern."""
 
 
 def with_pictures(
@@ -58,22 +60,53 @@ def with_pictures(
     options = {"box": common[0], "line_limits": common[1], **look}
     if common[1] is not None and common[1][0] < 0.0:
         options.setdefault("line_colours", SIGNED)
-    count = max(len(every) * len(colours), 1)
-    dpi = int(np.clip(SHARPEST * math.sqrt(20 / count), 70, SHARPEST))
     pictures = []
     for colour in colours:  # one colour bar per picture, to leave room for the shape
+        if colour == "utilisation" and not case.summary.design:
+            continue  # strengths do not judge it
         fabric = None if colour == TENSION else colour
         forces = label_of(colour)[1] == "stress"
         options |= {
             "colour": fabric, "tensions": fabric is None, "ghost": colour == "displacement",
             "directions": forces, "loose": "lifted" if fabric is None else None,
         }  # fmt: skip
-        png = draw_png(solver, dpi=dpi, limits=_limits(every, colour), **options)
+        png = draw_png(solver, dpi=SHARPEST, limits=_limits(every, colour), **options)
         if png:
             label = LINES if fabric is None else label_of(colour)[0]
-            label += "; strokes: larger principal force" if forces else ""
+            label += "; strokes: direction of the larger principal section force" if forces else ""
             pictures.append(Figure(png, f"{case.name}: {label}"))
     return replace(case, pictures=tuple(pictures))
+
+
+def pictured(every: Sequence[Case], colours: Sequence[str]) -> dict[str, list[str]]:
+    """Colours of the pictures of each case: all of few cases; of many, of the least deflected one
+    and where the colour is largest, in each limit state."""
+    if len(every) * len(colours) <= PICTURED:
+        return {case.name: list(colours) for case in every}
+    found = dict[str, list[str]]()
+    base = min(every, key=lambda case: case.deflection.value)
+    for colour in colours:
+        governs = {one.name: one for one in [base] if _largest(one, colour) != 0.0}
+        rest = [case for case in every if case is not base]
+        for state in dict.fromkeys(case.state for case in rest):
+            own = [case for case in rest if case.state == state]
+            most = max(own, key=lambda case: _largest(case, colour))
+            governs[most.name] = most
+        for name in governs:
+            found.setdefault(name, []).append(colour)
+    return found
+
+
+def _largest(case: Case, colour: str) -> float:
+    """The largest value of a colour in a case; -1 without any."""
+    of = case.summary
+    if colour == TENSION:
+        forces = [one.largest for one in of.cables.values()]
+        return max([*forces, *(abs(bar.force) for bar in of.bars.values())], default=-1.0)
+    if colour == "displacement":
+        return case.deflection.value
+    found = of.membrane.largest.get(QUANTITY_OF.get(colour, ""))
+    return -1.0 if found is None else found.value
 
 
 def with_view(
@@ -97,7 +130,7 @@ def with_view(
 
 def draw_png(solver: Solved, *, dpi: int, **options: Any) -> bytes:
     """PNG of a scene as bytes, on the first rank; empty if the scene is too large. Collective."""
-    figure, buffer = draw(solver, width=6.0, **options), io.BytesIO()
+    figure, buffer = draw(solver, width=4.6, **options), io.BytesIO()
     if figure is not None:
         from PIL import Image
 
@@ -136,8 +169,11 @@ def _limits(every: Sequence[Case], colour: str) -> tuple[float, float] | None:
     name, parts = QUANTITY_OF.get(colour), [case.summary.membrane for case in every]
     if name not in SUMMED_UP:
         return None
-    low = min(part.least[name].value for part in parts if name in part.least)
-    high = max(part.largest[name].value for part in parts if name in part.largest)
+    known = [part for part in parts if name in part.least]
+    if not known:
+        return None
+    low = min(part.least[name].value for part in known)
+    high = max(part.largest[name].value for part in known)
     low = 0.0 if low > -1e-9 * high else low
     return (low, max(high, 0.0)) if low < high else None
 
@@ -154,7 +190,7 @@ def model_figures(solver: Solved, caption: str, unit: str, look: Any) -> list[Fi
         if scene.comm.rank == 0:
             warp = "warp, " if len(plan.warp[0]) else ""
             text = f"Plan of the model with supports, {warp}and the names of cables and bars"
-            found.append(Figure(draw_model(plan, unit, SHARPEST), text, "model"))
+            found.append(Figure(draw_model(plan, unit, 150), text, "model"))
     return found
 
 
@@ -206,7 +242,7 @@ def load_figures(solver: Solved, units: Units, look: Any) -> list[Figure]:
     for name in scene.loads.factors:
         if name not in on_joints:
             colour = f"{LOAD}{name}"
-            png = draw_png(solver, dpi=110, colour=colour, tensions=False, loose=None, **look)
+            png = draw_png(solver, dpi=SHARPEST, colour=colour, tensions=False, loose=None, **look)
             if png:
                 label = load_label(scene, name)[0]
                 text = f"q_p = {peaks[name]:.4g}{units.plain('pressure')}" if name in peaks else ""
@@ -222,14 +258,18 @@ def outline_in_plan(scene: Scene) -> Array:
     return np.concatenate([scene.comm.bcast(edges), np.reshape(bars, (-1, 2, 3))])
 
 
-def force_figures(held: FoundationTables, outline: Array, most: int = 24) -> list[Figure]:
-    """Plans of the foundation forces in up to `most` load cases, all at one scale."""
+def force_figures(held: FoundationTables, outline: Array) -> list[Figure]:
+    """Plans of the foundation forces in the cases in which they are largest, at one scale."""
     points, figures = held.points, list[Figure]()
     flat = [np.hypot(*x.force[:2]) for one in points.values() for x in one.values()]
     sizes = [np.linalg.norm(case.foundations.per_length, axis=2) for case in held.cases]
     greatest = max((float(x.max(initial=0.0)) for x in sizes), default=0.0)
     largest = max(map(float, flat), default=0.0)
-    for case in held.cases[:most]:
+    wanted = {case for *_, case in held.largest()}
+    rims = [(float(np.linalg.norm(case.foundations.per_length, axis=2).max(initial=0.0)), case.name)
+            for case in held.cases]  # fmt: skip
+    wanted |= {max(rims)[1], held.cases[0].name}
+    for case in (case for case in held.cases if case.name in wanted):
         of = case.foundations
         own = {
             label: (np.array(one[case.name].at), np.array(one[case.name].force))
@@ -237,7 +277,7 @@ def force_figures(held: FoundationTables, outline: Array, most: int = 24) -> lis
         }  # fmt: skip
         if own or len(of.rim):
             plan = ForcePlan(of.rim, of.per_length, own, outline, largest, greatest)
-            png = draw_forces(plan, held.units.length, held.units.force, 110)
+            png = draw_forces(plan, held.units.length, held.units.force, 165, 4.0)
             figures.append(Figure(png, f"{case.name}: forces on the foundations"))
     return figures
 

@@ -19,6 +19,7 @@ from crms_fenicsx.analysis.steps.load_cases import (
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.errors import InputError, raised_together
 from crms_fenicsx.foundation.runtime.files import absolute, make_writable, replaced
+from crms_fenicsx.model.strengths import LIMIT_STATES
 from crms_fenicsx.model.versions import UNBALANCED
 from crms_fenicsx.results.cable_order import Order
 from crms_fenicsx.results.output.figures.axes3d import check_view
@@ -30,7 +31,13 @@ from crms_fenicsx.results.output.report.case import (
     shape_of,
 )
 from crms_fenicsx.results.output.report.model_tables import Model, merged, model_of_scene
-from crms_fenicsx.results.output.report.page import MACROS, PageSection, browser, print_page
+from crms_fenicsx.results.output.report.page import (
+    MACROS,
+    PageSection,
+    check_printing,
+    check_template,
+    print_page,
+)
 from crms_fenicsx.results.output.report.pictures import (
     TENSION,
     check_interactive,
@@ -38,12 +45,16 @@ from crms_fenicsx.results.output.report.pictures import (
     load_figures,
     model_figures,
     outline_in_plan,
+    pictured,
     with_pictures,
     with_view,
 )
 from crms_fenicsx.results.output.report.results_tables import ResultTables
 from crms_fenicsx.results.output.report.sections import Plan, Report, with_codes
 from crms_fenicsx.results.quantities import QUANTITY_OF, Solved, names_of
+
+BASE = "LC0"
+"""Case name of the state that the first combination started from."""
 
 NOW = "Current state"
 """Case name in a report without combinations."""
@@ -52,17 +63,17 @@ NOW = "Current state"
 def checked_plan(comm: MPI.Intracomm, scene: Scene, filename: str | Path, **options: Any) -> Plan:
     """Checked options of a report. Collective on `comm`."""
     plan = Plan(Path(), **options)
-    plan = replace(plan, about=plan.about or {}, cable_strengths=plan.cable_strengths or {})
+    plan = replace(plan, about=plan.about or {}, basis=plan.basis or {})
+    plan = replace(plan, cable_strengths=plan.cable_strengths or {})
     for name in ("title", "unit", "force"):
         checks.of_type(f"report: {name}", getattr(plan, name), str)
-    checks.collection("report: about", plan.about, Mapping, '{"Project": "Tent"}')
-    for text in (text for pair in plan.about.items() for text in pair):
-        checks.of_type(f"report: {text!r} in about", text, str)
-    checks.collection("report: cable_strengths", plan.cable_strengths, Mapping, '{"ridge": 120.0}')
-    strengths = {
-        scene.cable(name).name: checks.positive(f"report: strength of the cable {name!r}", value)
-        for name, value in plan.cable_strengths.items()
-    }
+    for name, given, example in (
+        ("about", plan.about, '{"Project": "Tent"}'), ("basis", plan.basis, '{"Codes": "EN 1990"}'),
+    ):  # fmt: skip
+        checks.collection(f"report: {name}", given, Mapping, example)
+        for text in (text for pair in given.items() for text in pair):
+            checks.of_type(f"report: {text!r} in {name}", text, str)
+    strengths = _checked_strengths(scene, plan.cable_strengths)
     further = plan.sections
     if not isinstance(further, Sequence) or not all(isinstance(x, PageSection) for x in further):
         raise InputError(
@@ -89,7 +100,7 @@ def checked_plan(comm: MPI.Intracomm, scene: Scene, filename: str | Path, **opti
                 raise InputError(f"report: {path} is a folder; pass the name of a file in it.")
             make_writable(path.parent)
             if plan.pdf:
-                browser()
+                check_printing()
             if plan.interactive:
                 check_interactive()
             if plan.template is not None and not Path(plan.template).is_file():
@@ -101,10 +112,27 @@ def checked_plan(comm: MPI.Intracomm, scene: Scene, filename: str | Path, **opti
                 raise InputError(
                     f"report: filename = {str(path)!r} is a template's name; use another name."
                 )
+            if plan.template is not None:
+                check_template(Path(plan.template).absolute())
     return replace(
         plan, path=path, cable_strengths=strengths, pictures=pictures, foundations=foundations,
         template=None if plan.template is None else Path(plan.template).absolute(),
     )  # fmt: skip
+
+
+def _checked_strengths(scene: Scene, given: Mapping[str, float]) -> dict[str, float]:
+    """Strengths of cables in ultimate limit states, of the scene or given (force), by name."""
+    checks.collection("report: cable_strengths", given, Mapping, '{"ridge": 120.0}')
+    designed = {x.name: scene.design.of_cable(x.name, LIMIT_STATES[0]) for x in scene.cables}
+    strengths = {name: value for name, value in designed.items() if value is not None}
+    for name, value in given.items():
+        if scene.cable(name).name in strengths:
+            raise InputError(
+                f"report: cable_strengths of {name!r}, whose strength scene.set_strengths has "
+                "already; leave it out."
+            )
+        strengths[name] = checks.positive(f"report: strength of the cable {name!r}", value)
+    return strengths
 
 
 def _checked_foundations(
@@ -165,9 +193,13 @@ def results_of(solver: Solved, states: Mapping[str, Combination]) -> list[Case]:
             if id(one.base) not in shapes:
                 solver.restore(one.base)
                 shapes[id(one.base)] = shape_of(solver.scene)
+                if not cases and BASE not in states:
+                    cases.append(case_of(solver, BASE, shapes[id(one.base)]))
             solver.restore(one.snapshot)
             cases.append(case_of(solver, name, shapes[id(one.base)]))
-    return cases
+    base, acting = cases[0], [(one.summary.pressure, one.summary.factors) for one in cases]
+    known = base.name == BASE and acting[0] not in acting[1:] and base.summary.in_equilibrium
+    return cases if known or base.name != BASE else cases[1:]
 
 
 def drawn(
@@ -175,17 +207,19 @@ def drawn(
     every: Sequence[Case],
 ) -> list[Case]:  # fmt: skip
     """The cases with pictures in the colour scales of `every` case. Collective."""
-    pictured = []
+    found, colours = [], plan.pictures or ()
+    own = pictured(every, colours)
     with back_to_now(solver):
         for case in cases:
             if states:
-                solver.restore(states[case.name].snapshot)
-            colours = plan.pictures or ()
-            shown = with_pictures(solver, case, every, colours, plan.look)
+                one = states.get(case.name)
+                first = next(iter(states.values()))
+                solver.restore(first.base if one is None else one.snapshot)
+            shown = with_pictures(solver, case, every, own.get(case.name, ()), plan.look)
             if plan.interactive:
                 shown = with_view(solver, shown, every, colours, plan.units)
-            pictured.append(shown)
-    return pictured
+            found.append(shown)
+    return found
 
 
 def model_of(solver: Solved, plan: Plan, states: Mapping[str, Combination]) -> Model:

@@ -2,33 +2,34 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from crms_fenicsx.model.strengths import ALL
-from crms_fenicsx.model.versions import UNBALANCED
-from crms_fenicsx.results.cable_and_bar_results import BarResults
+from crms_fenicsx.model.strengths import ALL, SERVICE
+from crms_fenicsx.results.cable_and_bar_results import BarResults, CableResults
+from crms_fenicsx.results.design_checks import Extreme
 from crms_fenicsx.results.output.report.case import Case
 from crms_fenicsx.results.output.report.page import (
+    WHOLE,
     Cell,
-    PagePart,
-    Paragraph,
     Table,
     Units,
     per_cent,
     place,
 )
 from crms_fenicsx.results.quantities import QUANTITIES, SUMMED_UP
-from crms_fenicsx.results.summary import ALL_SUPPORTS, Extreme
+from crms_fenicsx.results.summary import ALL_SUPPORTS
 
-WHOLE = "whole membrane"
 BOTH = "supports, anchors and held joints"
 TOTAL = "everything attached"
 Row = tuple[Cell, ...]
 NOISE = 1e-6
 """Force components below this fraction of the largest are rounding errors."""
+WIDE = 12
+"""Largest number of items that share a table by case."""
 FINE = 1e-3
 """Values below this fraction of the largest are shown as zero, as irrelevant to design."""
 
@@ -71,63 +72,70 @@ class ResultTables:
     def factors(self, pressure: float, factors: Mapping[str, float]) -> Table:
         """Pressure and load factors of the cases and the base state."""
         every = [(case.name, case.summary.pressure, case.summary.factors) for case in self.cases]
-        divided = {case.name: case.summary.strength_factor for case in self.cases}
+        divided = {
+            case.name: max(one.divisor for one in case.summary.design.values())
+            for case in self.cases
+            if case.summary.design
+        }
         reduced = any(x != 1.0 for x in divided.values())
         base = [one for one in every if one[1] == pressure and one[2] == factors]
         if not base:
             base = [("base state", pressure, factors)]
         every = base + [one for one in every if one not in base]
         loads = list(dict.fromkeys(load for _, _, known in every for load in known))
+        pressed, first = any(p for _, p, _ in every), 0
         first = 0 if len(every) > 1 or every[0][0] == "base state" else 1
+        states = {case.name: case.state for case in self.cases if case.state}
         rows: list[Row] = [
             (
                 f"LC{k}",
-                name,
-                p,
-                *(known.get(load) for load in loads),
+                "base state" if name == "LC0" else name,
+                states.get(name) if states else None,
+                p if pressed else None,
+                *(known.get(load) or None for load in loads),
                 divided.get(name) if reduced else None,
             )
             for k, (name, p, known) in enumerate(every, first)
         ]
-        columns = self.units.headings("Case|Combination|Inner pressure{pressure}")
-        columns += [*(f"Factor of {load}" for load in loads), "Strengths divided by"]
-        return Table("Inner pressure and factors of the loads", columns, rows, "combinations")
+        columns = self.units.headings("Case|Combination|Limit state|Inner pressure{pressure}")
+        columns += [*loads, "Strengths divided by"]
+        caption = f"{'Inner pressure and factors' if pressed else 'Factors'} of the loads"
+        return Table(caption, columns, rows, "combinations", small=len(loads) > 5)
 
     def overview(self) -> Table:
         """Deformation and state of the membrane."""
-        most = max(case.summary.displacement.value for case in self.cases)
         rows: list[Row] = [
             (
-                case.name, one.displacement.value,
-                *clean((one.lowest.value, one.highest.value), most, FINE),
-                per_cent(one.membrane.slack), per_cent(one.membrane.wrinkled), one.energy,
+                case.name,
+                *map(self.units.exact, (case.deflection.value, one.displacement.value)),
+                *map(self.units.exact, (one.lowest.value, one.highest.value)),
+                per_cent(one.membrane.slack), per_cent(one.membrane.wrinkled),
             )
             for case in self.cases for one in [case.summary]
         ]  # fmt: skip
         columns = self.units.headings(
-            "Combination|Largest deflection{length}|Lowest in z{length}|Highest in z{length}|"
-            "Slack area|Wrinkled area|Potential energy{energy}"
+            "Combination|Deflection from the base state{length}|Deflection from the stress-free "
+            "shape{length}|Lowest in z{length}|Highest in z{length}|Slack area|Wrinkled area"
         )
-        return Table("Deflections from the stress-free shape, and state", columns, rows, "overview")
+        return Table("Largest deflections, and state of the membrane", columns, rows, "overview")
 
-    def of_case(self, case: Case) -> Table:
-        """Section forces of a case, by parts."""
-        rows: list[Row] = []
-        for part, name, label, low, high in self._extremes(case):
-            smooth, change = case.recovered[part].get(name), case.summary.parts[part].change
-            nodal, peak = None if smooth is None else QUANTITIES[name].scale * smooth, ""
-            if nodal is None and change is not None:
-                peak = f"may change by {per_cent(change)}"
-            elif nodal is not None and high.value > 1.25 * max(nodal, 0.0):
-                peak = "single-cell peak"
-            rows.append((
-                part_name(part), label, *clean([low.value], abs(high.value), FINE),
-                place(low.at, self.size), high.value, place(high.at, self.size), nodal, peak,
-            ))  # fmt: skip
-        columns = "Part|Result|Least|at x; y; z{length}|Largest|at x; y; z{length}"
-        columns += "|Largest, smoothed|Remark"
-        table = Table(f"Membrane, {case.name}", self.units.headings(columns), rows, headings=2)
-        return _without_one_part(table)
+    def section_forces(self) -> Table:
+        """Largest section forces, strain and utilisation of the whole membrane in each case."""
+        known = {name: label for case in reversed(self.cases)
+                 for part, name, label, *_ in self._extremes(case) if part == ALL}  # fmt: skip
+        names, labels = [*known], [*known.values()]
+        labels = [label.replace("Section force along", "Largest along") for label in labels]
+        most = {
+            name: max(abs(found[name].value) for case in self.cases
+                      if name in (found := case.summary.membrane.largest))
+            for name in names
+        }  # fmt: skip
+        rows: list[Row] = [
+            (case.name, *(QUANTITIES[name].scale * clean([found[name].value], most[name], FINE)[0]
+                          if name in found else None for name in names))
+            for case in self.cases for found in [case.summary.membrane.largest]
+        ]  # fmt: skip
+        return Table("Largest section forces by combination", ["Combination", *labels], rows)
 
     def patches(self) -> Table:
         """Reinforced corners, and what plain fabric would bear there, over all cases."""
@@ -162,17 +170,32 @@ class ResultTables:
     def envelope(self) -> Table:
         """Minima and maxima over all cases, with the governing case."""
         rows: list[Row] = []
-        for part, name, label, _, _ in self._extremes(self.cases[0]):
-            parts = [(case.name, case.summary.parts[part]) for case in self.cases]
+        every = {(part, name): label for case in self.cases
+                 for part, name, label, _, _ in self._extremes(case)}  # fmt: skip
+        for (part, name), label in every.items():
+            parts = [
+                (case.name, case.summary.parts[part])
+                for case in self.cases if name in case.summary.parts[part].least
+            ]  # fmt: skip
             least, low = min(((n, one.least[name]) for n, one in parts), key=_value)
             largest, high = max(((n, one.largest[name]) for n, one in parts), key=_value)
             at, scale = place(high.at, self.size), QUANTITIES[name].scale
             small, most = clean([scale * low.value, scale * high.value], scale * high.value, FINE)
-            rows.append((part_name(part), label, small, least, most, largest, at))
+            governs = next(case for case in self.cases if case.name == largest)
+            smooth, change = governs.recovered[part].get(name), governs.summary.parts[part].change
+            nodal, peak = None if smooth is None else scale * smooth, ""
+            if nodal is None and change is not None:
+                peak = f"may change by {per_cent(change)}"
+            elif nodal is not None and most > 1.25 * max(nodal, 0.0):
+                peak = "single-cell peak"
+            least, largest = (least, largest) if len(self.cases) > 1 else ("", "")
+            rows.append((part_name(part), label, small, least, most, largest, at, nodal, peak))
         columns = self.units.headings(
             "Part|Result|Least|Governs least|Largest|Governs largest|at x; y; z{length}"
+            "|Largest, smoothed|Remark"
         )
-        table = Table("Envelope of the membrane", columns, rows, "envelope", headings=2)
+        caption = "Envelope of the membrane"
+        table = Table(caption, columns, rows, "envelope", headings=2, small=True)
         return _without_one_part(table)
 
     def cables(self) -> Table:
@@ -181,7 +204,7 @@ class ResultTables:
         rows: list[Row] = [
             (
                 name, case, one.least, one.mean, one.largest, "slack" if one.slack else "taut",
-                one.length, one.L0, one.free,
+                *map(self.units.exact, (one.length, one.L0, one.free)),
                 *clean((one.contact_mean, one.contact_largest), most, FINE),
             )
             for name, case, one in self.each("cables")
@@ -199,7 +222,8 @@ class ResultTables:
         for name, found in self.by_name("cables"):
             least, low = min(found, key=lambda one: one[1].least)
             largest, high = max(found, key=lambda one: one[1].largest)
-            share = high.largest / self.strengths[name] if name in self.strengths else None
+            shares = [self._used(case, one) for case, one in found]
+            share = max((x for x in shares if x is not None), default=None)
             used = [None if share is None else per_cent(share)]
             used = used if self.strengths else []
             rows.append((name, low.least, least, high.largest, largest, *used))
@@ -208,6 +232,59 @@ class ResultTables:
         )
         columns += ["Utilisation"] if self.strengths else []
         return Table("Envelope of the cables' tensions", columns, rows, "cable_envelope")
+
+    def _used(self, name: str, cable: CableResults) -> float | None:
+        """Utilisation of a cable in a case; None if it has no strength, or is not judged by it."""
+        state = next(case.state for case in self.cases if case.name == name)
+        if cable.strength is None and cable.name in self.strengths and state not in SERVICE:
+            return cable.largest / self.strengths[cable.name]
+        return cable.utilisation
+
+    def tensions(self) -> list[Table]:
+        """Largest tension of each cable in each case."""
+        found = {name: {case: one.largest for case, one in known}
+                 for name, known in self.by_name("cables")}  # fmt: skip
+        return self._matrix("Largest tensions of the cables{force}", found)
+
+    def bar_forces(self) -> list[Table]:
+        """Force of each bar, or the largest of each family, in each case."""
+        found = dict[str, dict[str, float]]()
+        for label, known in self._bars(every=False):
+            for case, one in sorted(known, key=lambda pair: abs(pair[1].force)):
+                found.setdefault(label, {})[case] = one.force
+        return self._matrix("Forces of the bars, compression negative{force}", found)
+
+    def _matrix(self, caption: str, found: Mapping[str, Mapping[str, float]]) -> list[Table]:
+        """Values by item and case, with a row for each case and up to `WIDE` items a table."""
+        names = list(found)
+        tables = math.ceil(len(names) / WIDE)
+        parts = [names[k * len(names) // tables : (k + 1) * len(names) // tables]
+                 for k in range(tables)]  # fmt: skip
+        return [
+            Table(
+                caption.format_map(self.units), ["Combination", *part],
+                [(case.name, *(found[name].get(case.name) for name in part))
+                 for case in self.cases], small=len(part) > 8,
+            )
+            for part in parts
+        ]  # fmt: skip
+
+    def lengths(self) -> Table:
+        """Lengths of the cables in the first case, and their contact with the membrane."""
+        case, rows = self.cases[0], list[Row]()
+        for name, found in self.by_name("cables"):
+            governs, most = max(found, key=lambda one: one[1].contact_largest)
+            one = case.summary.cables.get(name)
+            lengths = (None,) * 3 if one is None else map(
+                self.units.exact, (one.length, one.L0, one.free)
+            )  # fmt: skip
+            contact = (most.contact_largest, governs) if most.contact_largest > 0.0 else (None,) * 2
+            rows.append((name, *lengths, *contact))
+        columns = self.units.headings(
+            "Cable|Length{length}|Unstressed{length}|Off the membrane{length}|"
+            "Largest contact force{stress}|Governs"
+        )
+        return Table(f"Lengths of the cables in {case.name}, and contact forces", columns, rows)
 
     def _bars(self, every: bool) -> Iterator[tuple[str, list[tuple[str, BarResults]]]]:
         """Each bar, or family of bars, with (case, result) pairs."""
@@ -228,7 +305,8 @@ class ResultTables:
                 one = max(own, key=lambda bar: abs(bar.force))
                 state = "slack" if one.slack else "tension" if one.force > 0.0 else "compression"
                 used = None if one.utilisation is None else per_cent(one.utilisation)
-                rows.append((label, case, one.force, state, one.length, one.L0, one.buckling, used))
+                lengths = map(self.units.exact, (one.length, one.L0))
+                rows.append((label, case, one.force, state, *lengths, one.buckling, used))
         columns = "Bar|Combination|Force{force}|State|Length{length}|Unstressed{length}"
         columns += "|Buckling load{force}|Utilisation"
         return Table("Bars", self.units.headings(columns), rows, "bars", headings=2)
@@ -256,9 +334,9 @@ class ResultTables:
             for case in self.cases for found in [case.summary.hollows] for one in found[:1]
         ]  # fmt: skip
         columns = self.units.headings(
-            "Combination|Hollows|Deepest{length}|at x; y; z{length}|Volume{volume}|Area{area}"
+            "Combination|Number|Depth{length}|at x; y; z{length}|Volume{volume}|Area{area}"
         )
-        return Table("Hollows in which rain would stand", columns, rows, "hollows")
+        return Table("Ponding: places without drainage", columns, rows, "hollows")
 
     def ponds(self) -> Table:
         """Levels, volumes and factored weights of ponds."""
@@ -308,63 +386,6 @@ class ResultTables:
         headings = self.units.headings(columns)
         return Table("Held joints: forces on them", headings, rows, "joints", headings=2)
 
-    def verification(self) -> Table:
-        """Checks of all cases."""
-        rows: list[Row] = []
-        for case in self.cases:
-            if case.verification is None:
-                rows.append((case.name, _unchecked(case), None, None, None, ""))
-                continue
-            for one in case.verification.checks:
-                verdict = "passed" if one.passed else "failed" if one.binding else "doubtful"
-                rows.append((case.name, one.name, one.where or None, one.value, one.limit, verdict))
-        columns = ("Combination", "Check", "Cable", "Value", "Limit", "Verdict")
-        return Table("Checks of the equilibria", columns, rows, "verification", headings=2)
-
-    def verdicts(self) -> Table:
-        """Verdicts, with the cases that share each."""
-        shared: dict[tuple[int | None, str], list[str]] = {}
-        for case in self.cases:
-            found = case.verification
-            if found is None:
-                shared.setdefault((None, _unchecked(case)), []).append(case.name)
-                continue
-            names = [check.name for check in found.failed]
-            verdict = "failed: " if found.failed else "verified"
-            if case.summary.warnings and not found.failed:
-                verdict, names = "equilibrium, but ", [str(one) for one in case.summary.warnings]
-            key = len(found.checks), verdict + ", ".join(names)
-            shared.setdefault(key, []).append(case.name)
-        rows: list[Row] = [
-            (f"all {len(names)} combinations" if len(names) == len(self.cases) > 1
-             else ", ".join(names), *key)
-            for key, names in shared.items()
-        ]  # fmt: skip
-        return Table("Verdicts", ("Combination", "Checks", "Verdict"), rows)
-
-    def nearest_to_limits(self) -> list[PagePart]:
-        """Each check at its largest utilisation, and the names of checks far below their limits."""
-        known = [(case, check) for case in self.cases if case.verification is not None
-                 for check in case.verification.checks]  # fmt: skip
-        rows, far = list[Row](), list[str]()
-        for name in dict.fromkeys(check.name for _, check in known):
-            case, check = max(
-                ((case, check) for case, check in known if check.name == name),
-                key=lambda one: (not one[1].passed, one[1].value / (one[1].limit or 1.0)),
-            )
-            part = check.value / check.limit if check.limit > 0.0 else 0.0
-            if check.passed and part < FINE:
-                far.append(name)
-            else:
-                rows.append((name, per_cent(part), check.limit, case.name, check.where or None))
-        columns = ("Check", "Share of its limit", "Limit", "Combination", "Cable")
-        found: list[PagePart] = []
-        if rows:
-            found.append(Table("Checks, where they are nearest to their limits", columns, rows))
-        if far:
-            found.append(Paragraph(f"Below {per_cent(FINE)} of their limits: {', '.join(far)}."))
-        return found
-
 
 def part_name(part: str) -> str:
     """Display name of a part."""
@@ -403,8 +424,3 @@ def _without_one_part(table: Table) -> Table:
         return table
     rows = [row[1:] for row in table.rows]
     return replace(table, columns=table.columns[1:], rows=rows, headings=1)
-
-
-def _unchecked(case: Case) -> str:
-    """Reason for missing checks of a case."""
-    return "not verified in this run" if case.summary.in_equilibrium else UNBALANCED

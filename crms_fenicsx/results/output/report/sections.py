@@ -10,52 +10,67 @@ from typing import Any
 import numpy as np
 
 from crms_fenicsx.results.cable_order import Order
-from crms_fenicsx.results.output.report.case import Case, verdict_on
+from crms_fenicsx.results.output.report.case import Case
 from crms_fenicsx.results.output.report.foundation_tables import (
     FoundationTables,
     anchors,
     cables_to_order,
     clamps,
 )
-from crms_fenicsx.results.output.report.model_tables import Model, in_families, versions
+from crms_fenicsx.results.output.report.model_tables import PRESSED, Model, in_families, versions
 from crms_fenicsx.results.output.report.page import (
     LARGEST,
+    WHOLE,
     BarChart,
+    Cell,
     Figure,
     Figures,
-    KeyFigures,
     Link,
     Notes,
     PagePart,
     PageSection,
     Paragraph,
+    Signatures,
     Table,
     Units,
     number,
     page,
     per_cent,
 )
-from crms_fenicsx.results.output.report.results_tables import ResultTables
+from crms_fenicsx.results.output.report.results_tables import ResultTables, Row
+from crms_fenicsx.results.output.report.verdict import (
+    NAMES,
+    OF_MEMBRANE,
+    governing,
+    judged,
+    listed,
+    verdict_on,
+)
+from crms_fenicsx.results.output.report.verification_tables import (
+    nearest_to_limits,
+    verdicts,
+    verification,
+)
 
 FORCES_ON = (
-    "Forces are those on the foundations: upward is uplift. Directions in plan are counted from "
-    "the x axis towards y; the inclination is positive upward. Ends of cables, bars and held "
-    "points that meet at one place are added up; forces of a foundation with several such places "
-    "act at their centre, together with the moments Mx, My and Mz about it. Lines of held edges "
-    "carry the membrane's other forces; a vertex of two groups counts with the larger one. The "
-    "plans show horizontal forces as arrows, forces per length beside the rim, and vertical forces "
-    "as numbers, all to one scale. Orange is uplift, blue is downward."
+    "Forces act on the foundations: upward is uplift. Directions in plan are counted from the x "
+    "axis towards y; the inclination is positive upward. Ends of cables, bars and held points that "
+    "meet at one place are added up; forces of a foundation with several such places act at their "
+    "centre, with the moments Mx, My and Mz about it. Held edges carry the membrane's other "
+    "forces; a vertex of two groups counts with the larger one. The plans show horizontal forces "
+    "as arrows, forces per length beside the rim, and vertical forces as numbers, to one scale. "
+    "Orange is uplift, blue is downward. The CSV files have all combinations."
 )
-HOLLOWS = (
+PONDING = (
     "Rain cannot drain from these places over an edge of the roof. Depth, volume and area are "
-    "those of the hollow filled to overflowing, in the shape of the combination; under the "
-    "weight of the water the roof sinks further."
+    "those of the pond filled to overflowing, in the shape of the combination; under the weight of "
+    "the water the roof sinks further."
 )
 PATCHES = (
-    "At these corners forces enter the membrane at a point, and its forces grow without limit as "
-    "triangles become smaller. Within the radius the plain fabric is not judged by its strength: "
-    "reinforce it with further layers, belts or a plate for the forces of the supports, cables and "
-    "bars there. The utilisation of plain fabric there depends on the mesh."
+    "At these corners forces enter the membrane at a point, and its section forces grow without "
+    "limit as triangles become smaller. Within the radius the plain fabric is not judged by its "
+    "strength: reinforce it with further layers, belts or a plate for the forces of the supports, "
+    "cables and bars there. The utilisation of plain fabric there depends on the mesh."
 )
 NOTES = (
     "Section forces are true (Cauchy) forces per current length, positive in tension. The larger "
@@ -63,44 +78,51 @@ NOTES = (
     "it, and shear refers to these two. Each triangle has one value, so that the largest values at "
     "corners, anchors and cables grow as the mesh becomes finer. Smoothed values are means over "
     "neighbouring triangles; a single-cell peak exceeds the largest of these by a quarter.",
-    "Utilisation is the larger ratio of the section forces along warp and weft to the strengths "
-    "given for them; in isotropic material, of the larger principal force to the strength. It is "
-    "judged at vertices, from means over the triangles around them of the same material and "
-    "strengths, outside of the reinforced corners, where forces grow without limit as triangles "
-    "become smaller. The change by finer cells is how much the triangles around the largest value "
-    "differ from the means at their corners. Strengths must contain all partial factors; where "
-    "factors of loads are given, they are divided by the largest one that acts. Shear is not "
-    "included. For bars in compression the strength is reduced by the factor of their buckling "
-    "curve (EN 1993-1-1, 6.3.1, between hinges) or the one given; otherwise it is left out.",
+    "Utilisation of the membrane is the larger ratio of the section forces along warp and weft to "
+    "the design strengths for them; in isotropic material, of the larger principal section force "
+    "to the strength. It is judged at vertices, from means over the triangles around them of the "
+    "same material and strengths, outside of the reinforced corners. The change by finer cells is "
+    "how much the triangles around the largest value differ from the means at their corners. "
+    "Design strengths f_d are the given ones f_k divided by all factors of their table. Shear is "
+    "not included. For bars in compression the "
+    "resistance is reduced by the factor of their buckling curve (EN 1993-1-1, 6.3.1, between "
+    "hinges) or the one given; otherwise it is left out. Serviceability states are not judged by "
+    "strengths.",
     "Slack and wrinkled shares are parts of the stress-free area: a wrinkled triangle is in "
     "tension in one direction only, a slack one in none.",
-    "Deflections are displacements from the stress-free shape. Forces on the rim per length are "
-    "those of each vertex over the length of held edges that belongs to it; they include the "
-    "forces of cables that pass over the rim.",
+    "Deflections are displacements from the base state LC0, or from the stress-free shape where "
+    "named so. Forces on the rim per length are those of each vertex over the length of held edges "
+    "that belongs to it; they include the forces of cables that pass over the rim.",
     "Loads of fixed direction, such as weight and snow, keep their forces as the shape changes; "
     "wind and inner pressure stay normal to the surface.",
     "Contact forces of cables are those along the membrane's normal, per length of cable, smoothed "
     "over a few triangles.",
-    "Each equilibrium is checked independently of the solver: virtual work by differences of the "
-    "energy, balance of supports and loads, tensions and places of cables. A doubtful check "
-    "means that the mesh is coarse there, or that forces of one part are too small beside the "
-    "others to be accurate, not that the state is not in equilibrium.",
 )
 """Notes on reading the results."""
+
+CHECKED = (
+    "Each state of equilibrium was checked without use of the solver: the forces on every part of "
+    "the structure balance; reactions of the supports equal the loads, in forces and moments; each "
+    "cable has the tension that follows from its length, and lies on the membrane where it is in "
+    "contact; the deformation energy agrees with the work of the forces. A doubtful check means "
+    "that the mesh is coarse there, or that forces of one part are too small beside the others to "
+    "be accurate, not that the state is not in equilibrium."
+)
 
 
 def with_codes(cases: Sequence[Case], factors: Table) -> list[Case]:
     """The cases; if a name is long, renamed to their codes LC0, LC1 ... and in that order."""
     codes = {str(row[1]): str(row[0]) for row in factors.rows}
+    codes |= {code: code for code in codes.values()}
     if max(len(case.name) for case in cases) < 28:
         return list(cases)
-    order = list(codes)
+    order = list(codes.values())
     return [
         replace(case, name=codes[case.name], pictures=tuple(
             replace(one, caption=one.caption.replace(case.name, codes[case.name], 1))
             for one in case.pictures
         ))
-        for case in sorted(cases, key=lambda case: order.index(case.name))
+        for case in sorted(cases, key=lambda case: order.index(codes[case.name]))
     ]  # fmt: skip
 
 
@@ -111,6 +133,7 @@ class Plan:
     path: Path  # of the page
     title: str = "Membrane structure"  # title, about: heading, and entries below it
     about: Mapping[str, str] = field(default_factory=dict)
+    basis: Mapping[str, str] = field(default_factory=dict)  # of design: codes, sites, factors
     unit: str = ""
     force: str = ""
     cable_strengths: Mapping[str, float] = field(default_factory=dict)  # by name (force)
@@ -181,26 +204,85 @@ class Report:
         return replace(self, cases=cases, left_out=left_out)._page()
 
     def _page(self) -> str:
-        results, plan = self.results, self.plan
-        about = [*plan.about.items()]
-        if plan.unit or plan.force:
-            about.append(("Units", ", ".join(x for x in (plan.unit, plan.force) if x)))
-        about += versions(self.model.ranks)
-        verdict = verdict_on(self.cases, self.model.size, plan.strain_limit, plan.cable_strengths)
-        every = {case.name: case.summary.membrane.largest for case in self.cases}
-        used = [(name, 0.0, largest["utilisation"].value) for name, largest in every.items()
-                if "utilisation" in largest]  # fmt: skip
-        chart = BarChart("Largest utilisation of the membrane", used, limit=1.0)
+        """The page: each section of one subject."""
+        plan = self.plan
         sections = [
-            PageSection("Summary", [verdict, KeyFigures(self._cards()), chart]),
+            self._summary(),
+            *self._basis(),
             *self._model(),
-            *self._results(),
-            *self._forces(),
+            *self._membrane(),
+            *self._members(),
+            *self._foundations(),
             *plan.sections,
-            PageSection("Verification", [results.verdicts(), *results.nearest_to_limits()]),
+            PageSection("Verification", [
+                Paragraph(CHECKED), verdicts(self.cases), nearest_to_limits(self.cases)
+            ]),
             PageSection("Notes", [Notes(NOTES)]),
+        ]  # fmt: skip
+        return page(
+            plan.title, self._about(), sections, Path(plan.template) if plan.template else None
+        )
+
+    def _about(self) -> list[tuple[str, str]]:
+        """Entries below the title: the user's, units, date and program."""
+        plan, found = self.plan, dict(self.plan.about)
+        date, *program = versions(self.model.ranks)
+        if plan.unit or plan.force:
+            found["Units"] = ", ".join(x for x in (plan.unit, plan.force) if x)
+        return [*(found | dict([date]) | found | dict(program)).items()]
+
+    def _summary(self) -> PageSection:
+        """The verdict, what governs, and lines for signatures."""
+        plan, about = self.plan, self.plan.about
+        verdict = verdict_on(self.cases, self.model.size, plan.strain_limit, plan.cable_strengths)
+        roles = {"Prepared by": "Author", "Checked by": "Checker"}
+        signed = [(role, about.get(key, ""), "") for role, key in roles.items()]
+        return PageSection("Summary", [verdict, self._governing(), Signatures(signed)])
+
+    def _governing(self) -> Table:
+        """The largest utilisation of each limit state and kind of check; deflections and forces on
+        foundations, which have no limit here."""
+        plan, rows = self.plan, list[Row]()
+        units = plan.units
+        every = judged(self.cases, plan.strain_limit, plan.cable_strengths)
+        limited = {one.state for one in every if one.what == "deflection"}
+        for one in governing(every):
+            name, factor = NAMES[one.what][0], 1.0 if one.kind else 100.0
+            unit = {"": " %", "angle": "°"}.get(one.kind) or units.plain(one.kind)
+            effect, limit = (f"{number(factor * x)}{unit}" for x in (one.effect, one.limit))
+            member = one.member or (WHOLE if one.what in OF_MEMBRANE else "")
+            rows.append((one.state, name, member, effect, limit, per_cent(one.share), one.case))
+        for state in dict.fromkeys(case.state for case in self.cases):
+            own = [case for case in self.cases if case.state == state]
+            most = max(own, key=lambda case: case.deflection.value)
+            if state not in limited and most.deflection.value > 0.0:
+                size = f"{number(most.deflection.value)}{units.plain('length')}"
+                rows.append((state, "Deflection", "", size, None, None, most.name))
+            held = replace(self.held, cases=own)
+            rows += [
+                (state, f"Foundation, {kind}", label, f"{number(size)}{units.plain('force')}",
+                 None, None, case)
+                for kind, label, size, case in held.largest()
+            ]  # fmt: skip
+        states = list(dict.fromkeys(str(row[0]) for row in rows))
+        rows.sort(key=lambda row: (not row[0], states.index(str(row[0]))))
+        columns = ("Limit state", "Verification", "Governing member", "Effect", "Limit",
+                   "Utilisation", "Combination")  # fmt: skip
+        caption = "Governing verifications"
+        if states == [""]:
+            return Table(caption, columns[1:], [row[1:] for row in rows], "governing")
+        # the base state belongs to no limit state
+        rows = [(row[0] or "not named", *row[1:]) for row in rows if row[0] or row[-1] != "LC0"]
+        return Table(caption, columns, rows, "governing", headings=2)
+
+    def _basis(self) -> list[PageSection]:
+        """What the user and the loads say of codes, sites and factors."""
+        rows = [*self.plan.basis.items(), *self.model.basis.items()]
+        if not rows:
+            return []
+        return [
+            PageSection("Basis of design", [Table("Codes, site and loads", ("Item", "Data"), rows)])
         ]
-        return page(plan.title, about, sections, Path(plan.template) if plan.template else None)
 
     def tables(self) -> list[Table]:
         """The tables for CSV files."""
@@ -213,49 +295,18 @@ class Report:
             of.hollows(),
             of.supports(),
         ]
-        found += [self.held.lines(), self.held.balance()]
-        found.append(of.verification())
+        found += [self._governing(), self.held.lines(), self.held.balance()]
+        found.append(verification(self.cases))
         if of.names("cables"):
             found += [of.cables(), of.cable_envelope(), anchors(of)]
         if of.names("bars"):
             found += [of.bars(), of.bar_envelope()]
         more = [clamps(of), of.joints(), of.ponds(), of.patches()]
-        more += [self.held.places(), self.held.forces(), self.held.envelope()]
+        more += [self.held.places(), self.held.forces(), self.held.envelope(), self.held.rim()]
         if self.plan.order is not None:
             more.append(cables_to_order(self.plan.order, of.units))
         more += [part for one in self.plan.sections for part in one.body if isinstance(part, Table)]
         return found + [table for table in more if table.rows]
-
-    def _cards(self) -> list[tuple[str, str, str]]:
-        """Key figures: title, value, and the governing case or cable."""
-        units, summaries = self.plan.units, {case.name: case.summary for case in self.cases}
-        membranes = {name: one.membrane for name, one in summaries.items()}
-        cards = []
-
-        def card(what: str, unit: str | None, found: Mapping[str, float]) -> None:
-            name = max(found, key=lambda one: found[one], default="")
-            if name and found[name] != 0.0:
-                text = f"{number(found[name])} {unit}".rstrip()
-                cards.append((what, per_cent(found[name]) if unit is None else text, name))
-
-        used = {name: one.largest.get("utilisation") for name, one in membranes.items()}
-        if None not in used.values():
-            shares = {name: one.value for name, one in used.items() if one is not None}
-            card("Largest utilisation of the membrane", None, shares)
-        forces = {name: one.largest["true force 1"].value for name, one in membranes.items()}
-        card("Largest principal section force", units["stress"].strip(" []"), forces)
-        tensions = {
-            f"{cable}, {name}": one.largest
-            for name, summary in summaries.items()
-            for cable, one in summary.cables.items()
-        }
-        card("Largest tension of a cable", units.force, tensions)
-        moved = {name: one.displacement.value for name, one in summaries.items()}
-        card("Largest deflection", units.length, moved)
-        wrinkled = {name: one.wrinkled for name, one in membranes.items()}
-        card("Largest wrinkled area", None, wrinkled)
-        card("Largest slack area", None, {name: one.slack for name, one in membranes.items()})
-        return cards
 
     def _tensions(self) -> BarChart:
         """Chart of the cables' tensions over all combinations."""
@@ -271,66 +322,92 @@ class Report:
         tables = {name: one for name, one in model.tables.items() if one.rows}
         if "bars" in tables:
             tables["bars"] = in_families(tables["bars"])
+        if not any(case.summary.pressure for case in self.cases):
+            kept = [row for row in tables["mesh"].rows if row[0] != PRESSED]
+            tables["mesh"] = replace(tables["mesh"], rows=kept)
         made, held = ("materials", "strengths"), ("supports", "cables", "bars", "joints")
         below = [tables[x] for x in held if x in tables]
-        text = "Inner pressure and load factors."
+        design = [one for one in [self._design()] if one.rows]
         return [
-            PageSection("Model", [*model.pictures, tables["mesh"]]),
-            PageSection("Materials", [tables[x] for x in made if x in tables], 3),
-            PageSection("Supports, cables and bars", below, 3),
+            PageSection("Materials and design values",
+                        [*(tables[x] for x in made if x in tables), *design]),
+            PageSection("Model", [*model.pictures, tables["mesh"], *below]),
             PageSection("Loads", [*([tables["loads"]] if "loads" in tables else []),
-                                  Figures(model.loads), Paragraph(text), self.factors]),
+                                  Figures(model.loads)]),
+            PageSection("Combinations", [self.factors]),
         ]  # fmt: skip
 
-    def _results(self) -> list[PageSection]:
-        found, same, several = [], "", len(self.cases) > 1
-        if several:
-            text = "Least and largest values over all combinations, with the governing combination."
-            body: list[PagePart] = [Paragraph(text), self.results.envelope()]
-            body.append(self.results.overview())
-            found.append(PageSection("Envelope of the membrane", body))
-            same = "Colours have the same scale in all combinations."
-        patches = self.results.patches()
+    def _design(self) -> Table:
+        """Design values of the membrane with their factors, where states have them."""
+        found = dict[tuple[Cell, ...], list[str]]()
+        for case in self.cases:
+            for part, one in case.summary.design.items():
+                factors = ", ".join(f"{name} = {number(x)}" for name, x in one.factors.items())
+                key = (part or WHOLE, *one.strength, factors, *one.design)
+                found.setdefault(key, []).append(case.name)
+        columns = self.plan.units.headings(
+            "Part|f_k warp{stress}|f_k weft{stress}|Factors|f_d warp{stress}|f_d weft{stress}|"
+            "Combinations"
+        )
+        rows = [(*key, listed(names)) for key, names in found.items()]
+        return Table("Design strengths of the membrane", columns, rows)
+
+    def _membrane(self) -> list[PageSection]:
+        of, several = self.results, len(self.cases) > 1
+        text = "Least and largest values over all combinations, with the governing combination."
+        intro = [Paragraph(text)] if several else []
+        every = {case.name: case.summary.membrane.largest for case in self.cases}
+        used = [(name, 0.0, largest["utilisation"].value) for name, largest in every.items()
+                if "utilisation" in largest]  # fmt: skip
+        chart = BarChart("Largest utilisation of the membrane", used, limit=1.0)
+        tables = [of.envelope(), of.overview(), of.section_forces()]
+        found = [PageSection("Membrane", [*intro, *tables, chart])]
+        patches, ponds = of.patches(), of.hollows()
         if patches.rows:
-            found.append(PageSection("Reinforced corners", [Paragraph(PATCHES), patches]))
-        hollows = self.results.hollows()
-        dry = Paragraph("No ponding in any combination.")
-        found += [PageSection("Rain", [Paragraph(HOLLOWS), hollows] if hollows.rows else [dry])]
+            found.append(PageSection("Reinforced corners", [Paragraph(PATCHES), patches], 3))
+        dry = Paragraph("No place without drainage in any combination.")
+        found.append(
+            PageSection("Drainage", [Paragraph(PONDING), ponds] if ponds.rows else [dry], 3)
+        )
+        figures = [one for case in self.cases for one in case.pictures]
+        same = "Colours have the same scale in all combinations." if several else ""
+        if len({case.name for case in self.cases if case.pictures}) < len(self.cases):
+            same += " Pictures are of the base state and of governing combinations."
         if self.left_out:
             same += f" {self.left_out} pictures are left out, as the page would be too large."
-        body = [
-            *([Paragraph(same)] if same else []),
-            *([] if several else [self.results.overview()]),
-        ]
-        found.append(PageSection("Membrane by combination", body))
-        titles = {name: f"{code}: {name}" for code, name, *_ in self.factors.rows}
-        titles |= {code: f"{code}: {name}" for code, name, *_ in self.factors.rows}
-        for case, file in zip(self.cases, self._files, strict=True):
-            body = [Figures(case.pictures), self.results.of_case(case)]
-            if case.view:
-                body.insert(0, Link("Interactive 3D view", file))
-            found.append(PageSection(titles[case.name], body, 3))
+        links = [Link(f"{case.name}, interactive view", file)
+                 for case, file in zip(self.cases, self._files, strict=True)
+                 if case.view]  # fmt: skip
+        if figures or links:
+            told = [Paragraph(same.strip())] if same else []
+            body: list[PagePart] = [*told, *links, Figures(figures)]
+            found.append(PageSection("Pictures", body, 3))
         return found
 
-    def _forces(self) -> list[PageSection]:
+    def _members(self) -> list[PageSection]:
         of, several, found = self.results, len(self.cases) > 1, []
         if of.names("cables"):
             envelopes = [of.cable_envelope()] if several or of.strengths else []
-            tables = [*envelopes, of.cables(), clamps(of)]
+            tables = [*envelopes, *of.tensions(), of.lengths(), clamps(of)]
             used = [table for table in tables if table.rows]
             found.append(PageSection("Cables", [self._tensions(), *used]))
         if of.names("bars"):
-            envelopes = [of.bar_envelope(every=False)] if several else []
-            found.append(PageSection("Bars", [*envelopes, of.bars(every=False)]))
+            body = [of.bar_envelope(every=False), *of.bar_forces()] if several else [
+                of.bars(every=False)
+            ]  # fmt: skip
+            found.append(PageSection("Bars", body))
         if of.names("ponds"):
             found.append(PageSection("Ponds", [of.ponds()]))
-        held = self.held
-        tables = [held.forces(), held.lines(), held.places(), held.balance()]
-        body: list[PagePart] = [Paragraph(FORCES_ON)]
-        body += [table for table in [held.envelope()] if table.rows]
-        body += [Figures(self.plans), *(table for table in tables if table.rows)]
-        found.append(PageSection("Foundations and anchors", body))
-        order = self.plan.order
+        return found
+
+    def _foundations(self) -> list[PageSection]:
+        held, order = self.held, self.plan.order
+        tables = [held.places(), held.envelope(), held.governing(), held.lines_by_case(),
+                  held.rim(), held.balance_by_case()]  # fmt: skip
+        body: list[PagePart] = [Paragraph(FORCES_ON), Figures(self.plans)]
+        body += [table for table in tables if table.rows]
+        found = [PageSection("Foundations and anchors", body)]
         if order is not None:
-            found.append(PageSection("Cables to order", [cables_to_order(order, of.units)]))
+            table = cables_to_order(order, self.plan.units)
+            found.append(PageSection("Fabrication lengths of the cables", [table]))
         return found

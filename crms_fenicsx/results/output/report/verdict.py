@@ -1,0 +1,236 @@
+"""The verdict of a report: what is judged in each limit state, and objections to states."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+from crms_fenicsx.model.strengths import SERVICE
+from crms_fenicsx.results.design_checks import LEAST
+from crms_fenicsx.results.output.report.case import Case
+from crms_fenicsx.results.output.report.page import WHOLE, Verdict, number, per_cent, place
+
+NAMES = {
+    "fabric": ("Membrane", "of its strength"),
+    "fabric warp": ("Membrane, warp", "of its strength"),
+    "fabric weft": ("Membrane, weft", "of its strength"),
+    "strain": ("Membrane, strain", "of the limit"),
+    "cable": ("Cable tension", "of its strength"),
+    "bar tension": ("Bar in tension", "of its resistance"),
+    "bar compression": ("Bar in compression", "of its resistance"),
+    "deflection": ("Deflection", "of the limit"),
+    "prestress": ("Least prestress", "as limit over prestress"),
+    "slope": ("Least slope", "as limit over slope"),
+    "ponding": ("Ponding", "of the limit"),
+}
+"""What is judged: its name, and what its utilisation is relative to."""
+
+OF_MEMBRANE = ("fabric", "fabric warp", "fabric weft", "strain")
+"""What is judged of the membrane or its parts."""
+
+KINDS = {
+    **dict.fromkeys(("cable", "bar tension", "bar compression"), "force"),
+    **dict.fromkeys(("fabric", "fabric warp", "fabric weft", "prestress"), "stress"),
+    **dict.fromkeys(("deflection", "ponding"), "length"),
+    "slope": "angle",
+}
+"""Kinds of the effects' units; the strain has none."""
+
+MOST = 8
+"""Number of members or combinations that a sentence names."""
+
+
+@dataclass(frozen=True)
+class Judged:
+    """An effect of one state against its limit."""
+
+    state: str  # limit state
+    what: str  # out of `NAMES`
+    member: str  # cable, bar or part; "" is the whole membrane
+    case: str  # name of the combination
+    share: float  # utilisation
+    effect: float
+    limit: float
+    kind: str = ""  # of the effect's unit
+
+
+def judged(cases: Iterable[Case], strain: float, cables: Mapping[str, float]) -> list[Judged]:
+    """All that is judged in the cases; limits are those of strain, the checks of their summaries,
+    and the strengths of cables that have none there."""
+    found = list[Judged]()
+    for case in cases:
+        summary, state = case.summary, case.state
+        largest = summary.membrane.largest["strain 1"].value
+        found.append(Judged(state, "strain", "", case.name, largest / strain, largest, strain))
+        for one in summary.checks:
+            found.append(Judged(state, one.what, one.member, case.name, one.share, one.effect,
+                                one.limit, KINDS[one.what]))  # fmt: skip
+        for name, cable in summary.cables.items() if state not in SERVICE else ():
+            if name in cables and cable.strength is None:
+                share, given = cable.largest / cables[name], cables[name]
+                found.append(
+                    Judged(state, "cable", name, case.name, share, cable.largest, given, "force")
+                )
+    return found
+
+
+def governing(found: Iterable[Judged]) -> list[Judged]:
+    """The largest utilisation of each limit state and kind of check, and the largest of each."""
+    most = dict[tuple[str, str], Judged]()
+    for one in found:
+        known = most.get((one.state, one.what))
+        if known is None or one.share > known.share:
+            most[one.state, one.what] = one
+    order = [*NAMES]
+    rows = sorted(most.values(), key=lambda one: order.index(one.what))
+    states = list(dict.fromkeys(state for state, _ in most))
+    return sorted(rows, key=lambda one: states.index(one.state))
+
+
+def verdict_on(
+    cases: Sequence[Case], size: float, strain: float, cables: Mapping[str, float]
+) -> Verdict:
+    """The verdict, with all objections to the structure or its results, grouped by limit state:
+    limits are the larger principal strain and the strengths of cables, by name."""
+    count = f"all {len(cases)} combinations" if len(cases) > 1 else "the state"
+    reasons = [*_doubts(cases), *_excess(judged(cases, strain, cables))]
+    told, (refined, coarse) = [*_reinforced(cases), *_rain(cases, size)], _refined(cases)
+    missing = [case.name for case in cases if case.summary.in_equilibrium and not case.verification]
+    if reasons:
+        moved = [case.name for case in cases if not case.summary.in_equilibrium]
+        text = f"Not in equilibrium: {listed(moved)}" if moved else (
+            "Not acceptable as it stands, for the reasons below"
+        )  # fmt: skip
+        return Verdict(text, [*reasons, *refined, *told], "failed")
+    if missing:
+        return Verdict(f"Not verified in this run: {listed(missing)}", told, "doubtful")
+    by_strength = [case for case in cases if case.state not in SERVICE]
+    used = any("utilisation" in case.summary.membrane.largest for case in cases)
+    what = "no strain or utilisation" if used else "no strain"
+    text = f"Verified: {count} passed all checks of equilibrium, and {what}"
+    notes = [] if used or not by_strength else [
+        "Strengths of the membrane were not given: its utilisation is not checked."
+    ]  # fmt: skip
+    bars = [bar for case in by_strength for bar in case.summary.bars.values()]
+    unchecked = dict.fromkeys(x.name for x in bars if x.force < 0.0 and x.utilisation is None)
+    if unchecked:
+        notes.append(
+            "Buckling is not checked, as no curve was given, of bars in compression: "
+            f"{listed([*unchecked])}."
+        )
+    look = "doubtful" if coarse or any(case.summary.hollows for case in cases) else ""
+    return Verdict(f"{text} is beyond its limit", (*notes, *refined, *told), look)
+
+
+def listed(names: Sequence[str]) -> str:
+    """Up to `MOST` names, and the number of the others."""
+    more = f" and {len(names) - MOST} more" if len(names) > MOST else ""
+    return ", ".join(names[:MOST]) + more
+
+
+def _excess(found: Sequence[Judged]) -> Iterator[str]:
+    """What exceeds its limit: a sentence for each limit state and kind of check, which names the
+    members, the most utilised one first."""
+    beyond = [one for one in found if not one.share <= 1.0]
+    for first in governing(beyond):
+        own = [one for one in beyond if (one.state, one.what) == (first.state, first.what)]
+        most = dict[str, Judged]()
+        for one in sorted(own, key=lambda one: -one.share):
+            most.setdefault(one.member, one)
+        every = {one.member for one in found if (one.state, one.what) == (first.state, first.what)}
+        name, of = NAMES[first.what]
+        members = [f"{one.member or WHOLE} {per_cent(one.share)} ({one.case})"
+                   for one in most.values()]  # fmt: skip
+        where = f"{first.state}: " if first.state else ""
+        count = f", {len(most)} of {len(every)}" if len(every) > 1 else ""
+        side = "below" if first.what in LEAST else "beyond"
+        yield f"{where}{name}{count} {side} the limit: {listed(members)} {of}."
+
+
+def _rain(cases: Sequence[Case], size: float) -> Iterator[str]:
+    """Note on where rain would stand."""
+    wet = [case for case in cases if case.summary.hollows]
+    if wet:
+        most = max(wet, key=lambda case: case.summary.hollows[0].depth)
+        deepest = most.summary.hollows[0]
+        yield (
+            f"Rain would stand in {len(wet)} of {len(cases)} combinations, up to "
+            f"{number(deepest.depth)} deep at x; y; z = {place(deepest.at, size)} ({most.name}): "
+            "check the roof for ponding."
+        )
+
+
+def _doubts(cases: Sequence[Case]) -> Iterator[str]:
+    """Reasons why states are unusable, each with the combinations that share it."""
+    shared = dict[str, list[str]]()
+    for case in cases:
+        for reason in _doubts_on(case):
+            shared.setdefault(reason, []).append(case.name)
+    for reason, names in shared.items():
+        yield f"{listed(names)}: {reason}"
+
+
+def _doubts_on(case: Case) -> Iterator[str]:
+    summary, checked, volume = case.summary, case.verification, case.volume
+    if not summary.in_equilibrium:
+        yield "the scene has been changed since its last load step, or there was none."
+    for one in () if checked is None else checked.failed:
+        where = f"{one.name} at {one.where}" if one.where else one.name
+        yield (
+            f"no verified equilibrium: the check of {where} is {one.value:.2g}, its limit "
+            f"{one.limit:.2g}."
+        )
+    for warning in summary.warnings:
+        yield f"{warning}."
+    if volume is not None and volume < 0.0:
+        yield "the roof has turned inside out: it lies on the other side of its supports."
+    elif volume is not None and volume < 0.5:
+        yield f"the roof has collapsed: {per_cent(volume)} of its inner volume is left."
+    elif case.turned > 0.01:
+        yield f"{per_cent(case.turned)} of the membrane has turned over."
+
+
+def _refined(cases: Sequence[Case]) -> tuple[list[str], bool]:
+    """Note on what finer cells may change of the largest utilisation, and whether it may then be
+    above 1."""
+    found = [
+        (one.value * (1.0 + (part.change or 0.0)), one.value, case.name, part.change or 0.0)
+        for case in cases if case.state not in SERVICE for part in case.summary.parts.values()
+        if (one := part.largest.get("utilisation")) is not None
+    ]  # fmt: skip
+    if not found:
+        return [], False
+    most, value, name, change = max(found)
+    text = (
+        f"{name}: the membrane is loaded to {per_cent(value)} of its strength; finer cells may "
+        f"change this by {per_cent(change)}"
+    )
+    near = value <= 1.0 < most
+    return [f"{text}; refine the mesh there to judge it." if near else f"{text}."], near
+
+
+def _reinforced(cases: Sequence[Case]) -> list[str]:
+    """Note on the corners where plain fabric is not judged."""
+    every = {name: one.patch for case in cases for name, one in case.summary.patches.items()}
+    if not every:
+        return []
+    radii = [patch.radius for patch in every.values()]
+    span = number(min(radii))
+    if number(max(radii)) != span:
+        span += f" to {number(max(radii))}"
+    assumed = [name for name, patch in every.items() if not patch.given]
+    most, name, where = max(
+        (one.utilisation, case.name, corner)
+        for case in cases for corner, one in case.summary.patches.items()
+    )  # fmt: skip
+    text = (
+        f"Corners to be reinforced ({listed([*every])}): within a radius of {span} the plain "
+        "fabric is not judged, as its utilisation depends on the mesh there; on this one it is "
+        f"{per_cent(most)} ({where}, {name})."
+    )
+    if assumed:
+        text += (
+            " Radii that were not given are a twentieth of the distance to the next corner: "
+            f"{listed(assumed)}."
+        )
+    return [text]
