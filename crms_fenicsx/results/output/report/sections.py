@@ -342,6 +342,8 @@ class Report:
         found = dict[tuple[Cell, ...], list[str]]()
         for case in self.cases:
             for part, one in case.summary.design.items():
+                if one.divisor == 1.0:
+                    continue  # a design value as given
                 factors = ", ".join(f"{name} = {number(x)}" for name, x in one.factors.items())
                 key = (part or WHOLE, *one.strength, factors, *one.design)
                 found.setdefault(key, []).append(case.name)
