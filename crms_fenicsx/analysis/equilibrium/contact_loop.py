@@ -53,8 +53,9 @@ class ContactLoop:
             changes = ["paths pulled taut"]
         # on a roof that is still flat rows would slide far, and back
         flat = h0_prestress[0] > 0.0 and system.shifts is None
-        lines = [c for c in self.scene.cables if c.state.laid.line is not None]
-        system.holds_rows = flat and system.slide and len(lines) > 0
+        system.holds_rows = (
+            flat and system.slide and any(c.state.laid.line is not None for c in self.scene.cables)
+        )
         total: Outcome | None = None
         looked, ended, way = False, False, 0.0
 

@@ -266,6 +266,7 @@ class Minimizer:
         """Begin a solve at the potential's current state."""
         self._interrupt, self._interrupted, self._error = interrupt, False, None
         strategy = self.strategy
+        self._length = strategy.stage_lengths[0]
         self._looks = strategy.looks_of_cables if self._by_cables else strategy.looks
         self._newton_method.begin()
         self._stalling = Stalling(strategy)
@@ -300,14 +301,12 @@ class Minimizer:
         local = 0 if relaxation is None else relaxation.steps
         # H0 holds the components in contact with a floor.
         self._h0_is_outdated |= h0_prestress[0] != 0.0 or self._bounds is not None
-        self._length = self.strategy.stage_lengths[0]
         while stages < self.max_stages:
             residual, tolerance, rounding = self._evaluate()
-            relaxed = relaxation is not None and warm and stages == 0
-            relaxed = relaxed and relaxation.relax(self._scale)
-            if relaxed:
+            if relaxation is not None and warm and stages == 0 and relaxation.relax(self._scale):
                 residual, tolerance, rounding = self._evaluate()
-            if self._newton_method.active or relaxed:  # in stages TAO asks
+                self._ask(residual)
+            elif self._newton_method.active:  # in stages TAO asks
                 self._ask(residual)
             end = self._end(residual, tolerance, stages)
             if end or (failures >= 3 and residual > 0.5 * best):
