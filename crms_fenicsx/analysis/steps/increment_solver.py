@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -180,10 +181,11 @@ class IncrementSolver:
             target.apply(self.scene, first, done / steps, goal / steps)
             share = (goal - done) / steps
             prestress = _starting_prestress(self.system, target, share)
-            at_once: tuple[float, ...] | None = None
+            at_once: Callable[[], tuple[float, ...]] | None = None
             if goal > steps - 1e-9:
                 loaded = self.scene.comm.allreduce(bool(before.u.any()), op=MPI.LOR)
-                at_once = _starting_prestress(self.system, target, 1.0, False) if loaded else ()
+                whole = partial(_starting_prestress, self.system, target, 1.0, False)
+                at_once = whole if loaded else tuple
             found = self._solve(prestress, at_once)
         except BaseException:
             self._restore(before)
@@ -193,9 +195,9 @@ class IncrementSolver:
         return found
 
     def _solve(
-        self, h0_prestress: tuple[float, ...], at_once: tuple[float, ...] | None
+        self, h0_prestress: tuple[float, ...], at_once: Callable[[], tuple[float, ...]] | None
     ) -> Increment:
-        """`at_once`: as for `lower_state`; None: states of less energy are not looked for."""
+        """`at_once`: gives that of `lower_state`; None: no states of less energy are looked for."""
         if self._verifier is not None:
             self._verifier.begin()
         search, verification = self.search, None
@@ -213,7 +215,7 @@ class IncrementSolver:
         if self._verifier is not None and outcome.converged:
             scatter: tuple[Check, ...] = ()
             if at_once is not None and may_have_others(self.system):
-                outcome, scatter = self._lower(outcome, at_once)
+                outcome, scatter = self._lower(outcome, at_once())
             verification = self._verifier.check(self.system, outcome, scatter)
             if not verification.passed:
                 outcome = replace(outcome, converged=False, reason=str(verification))
