@@ -60,7 +60,7 @@ BUDGETS = {
     "model": 3565,
     "energy": 7325,
     "cabling": 8056,
-    "analysis": 7784,
+    "analysis": 7786,
     "results": 11568,
     "solver": 1025,
     "design": 8902,

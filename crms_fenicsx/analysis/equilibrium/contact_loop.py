@@ -51,13 +51,9 @@ class ContactLoop:
         changes = active.tighten()  # contacts need a solved state
         if self.sliding is not None and not changes and self.sliding.straighten():
             changes = ["paths pulled taut"]
-        # on a roof that is still flat rows would slide far, and back
-        flat = h0_prestress[0] > 0.0 and system.shifts is None
-        system.holds_rows = (
-            flat and system.slide and any(c.state.laid.line is not None for c in self.scene.cables)
-        )
+        system.hold_rows(flat=h0_prestress[0] > 0.0)
         total: Outcome | None = None
-        looked, ended, way = False, False, 0.0
+        looked, ended, way, settled = False, False, 0.0, 0
 
         def interrupt(residual: float, scale: float, last: bool) -> bool:
             nonlocal changes, looked, ended
@@ -99,9 +95,10 @@ class ContactLoop:
             if system.collapse:
                 return replace(total, converged=False, reason=system.collapse)
             # friction is updated from places also near equilibrium, where a look ends a solve; at
-            # the end it is in balance where the rows then lie
+            # the end it is in balance where the rows then lie, if that does not take for ever
+            settled += way <= SETTLED
             rests = way <= (NEAR if outcome.reason == "interrupted" else 0.0)
-            if not changes and (self._once or rests):
+            if not changes and (self._once or rests or settled > BUDGET.changes):
                 if way > 0.0:
                     system.renew_base()
                 if not looked and look is not None:

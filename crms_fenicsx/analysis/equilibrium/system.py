@@ -208,6 +208,11 @@ class System:
                 self.invalidate()
             self._rows.begin()
 
+    def hold_rows(self, flat: bool) -> None:
+        """Hold lines until a `flat` membrane stands: rows would slide far, and back."""
+        flat &= self.slide and self.shifts is None
+        self.holds_rows = flat and any(c.state.laid.line is not None for c in self.scene.cables)
+
     def follow_rows(self, begins: bool, solved: bool) -> float:
         """Move the scene's stress-free mesh by the shifts of the last solve; return the largest, as
         `largest_shift`. `begins`, `solved`: see `RowSliding.follow`. Collective."""
