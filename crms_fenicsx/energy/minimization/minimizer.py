@@ -236,8 +236,11 @@ class Minimizer:
         """Rebuild H0 at the current state, and set it in TAO the first time. Returns whether it is
         usable. `renewals`: rebuilds so far in this solve; `failures`: consecutive failed line
         searches."""
-        near = self._residual0 < self.strategy.exact * self._scale
-        prestress = h0_prestress[-1 if near else min(renewals, len(h0_prestress) - 1)]
+        exact = self._by_cables and self._newton_method.trusts_exact
+        strategy, rows = self.strategy, self.potential.unknowns.n_shifts > 0
+        below = strategy.exact_of_rows if rows else strategy.exact
+        exact = exact and self._residual0 < below * self._scale
+        prestress = h0_prestress[-1 if exact else min(renewals, len(h0_prestress) - 1)]
         flat, least = h0_prestress[0] > 0.0, 0.0
         if flat and renewals > 1:
             least = self.strategy.unsettled * (self._residual0 / max(self._scale, 1e-300)) ** 2
@@ -248,9 +251,7 @@ class Minimizer:
         lengths = self.strategy.stage_lengths
         self._length = lengths[min(renewals, len(lengths) - 1)]
         self._most_h0_iterations = 2 * self.strategy.rebuild if least > FLOOR else math.inf
-        exact = self._by_cables and self._newton_method.trusts_exact
-        exact &= prestress == 0.0 and failures == 0
-        exact = exact and self._residual0 < self.strategy.exact * self._scale
+        exact &= failures == 0
         if not self.h0.rebuild(exact) and not self.h0.rebuild():
             return False
         if not self._h0_set:

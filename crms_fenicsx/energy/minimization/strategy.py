@@ -54,8 +54,10 @@ class Strategy:
     """Newton iterations within which the residual must fall by the factor `stubborn`."""
     wrinkle_stiffness: float = 1e-2
     """Initial stiffness of wrinkled cells, relative to taut cells times sqrt(residual)."""
-    exact: float = 0.2
+    exact: float = 1e-2
     """Residual below which H0 is the second derivatives, without prestress."""
+    exact_of_rows: float = 0.2
+    """The same where rows slide: other stiffnesses let them slide too far."""
     descent: float = 1e-4
     """Fraction of the predicted descent that a Newton step must achieve (Armijo)."""
     shortest: float = 1e-3

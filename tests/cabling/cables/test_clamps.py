@@ -493,7 +493,7 @@ def test_friction_along_cables_between_clamps(comm: MPI.Intracomm, hold: Hold, r
             solver.advance(L0={a: 0.999 * a.L0})
             assert solver.steps[-1].verification.passed
     np.testing.assert_allclose(found[1e-4], found[0.0], rtol=rtol)
-    assert abs(found[0.05][0] / found[0.0][0] - 1) > 3e-6
+    assert abs(found[0.05][0] / found[0.0][0] - 1) > 1e-6
 
 
 @pytest.mark.ranks
@@ -642,7 +642,7 @@ def test_lengths_to_order(comm: MPI.Intracomm, folder: Path) -> None:
     rows = (folder / "cables.csv").read_text().splitlines()
     assert len(rows) == 5 and rows[1].split(",")[5:7] == ["start", "a x b"]
     text = (folder / "net.html").read_text()
-    assert "Cables to order" in text and "Foundations" in text and "a x b" in text
+    assert "Fabrication lengths of the cables" in text and "Foundations" in text and "a x b" in text
     sums = (folder / "net_foundations.csv").read_text().splitlines()
     pull = -a.start.reaction
     found = [float(x) for x in sums[1].split(",")[2:]]

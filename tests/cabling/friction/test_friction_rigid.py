@@ -362,4 +362,4 @@ def test_a_stiff_membrane_neither_holds_nor_releases_a_cable(comm, mu, steps):
         step = solver.advance(L0={cable: L * (1 - 0.01 * (k + 1) / steps)})
     exact = way.sideways(way.slid(mu).points).mean()
     assert way.sideways(cable.state.positions).mean() == pytest.approx(exact, rel=0.03)
-    assert step.outcome.evaluations < 200
+    assert step.outcome.evaluations < 800

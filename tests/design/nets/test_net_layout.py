@@ -300,19 +300,11 @@ def test_a_net_on_a_wall_needs_directions_in_space(comm) -> None:
     assert np.abs(widths(net.nodes) - 0.4).max() < 1e-8
 
 
-def test_equidistant_nets_slide_unless_they_are_clamped(comm) -> None:
-    """Free to slide, its lines, which turn within the surface, straighten and hang loose."""
-    scenes = {}
-    for joined in (True, False):
-        scene = scene_of(meshes.spherical_cap(comm, 8.0, 6.0, 1.2))
-        net = nets.equidistant(scene, 2.0, (0.1, 0.05))
-        scene.lay_net(net, Cable(EA=1e3), tension=1.0, hold="sleeve", clamped=joined)
-        Solver(scene).advance(pressure=0.6)
-        scenes[joined] = scene
-    tensions = np.array([cable.tension for cable in scenes[True].cables])
-    assert len(scenes[True].clamps) == len(net.crossings) == 89 and tensions.min() > 0.1
-    laid = {one.lines: one.place for one in net.crossings}
-    moved = [np.linalg.norm(one.place - laid[one.cables]) for one in scenes[True].clamps]
-    assert max(moved) < 0.06
-    loose = [cable.name for cable in scenes[False].cables if not cable.taut]
+def test_equidistant_nets_slide(comm) -> None:
+    """Their lines, which turn within the surface, straighten and hang loose."""
+    scene = scene_of(meshes.spherical_cap(comm, 8.0, 6.0, 1.2))
+    net = nets.equidistant(scene, 2.0, (0.1, 0.05))
+    scene.lay_net(net, Cable(EA=1e3), tension=1.0, hold="sleeve")
+    Solver(scene).advance(pressure=0.6)
+    loose = [cable.name for cable in scene.cables if not cable.taut]
     assert len(loose) == len(net.lines) - 2  # all but the two geodesics
