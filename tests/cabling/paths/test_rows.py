@@ -138,7 +138,7 @@ def test_all_results_are_those_of_cables_laid_by_path(comm: MPI.Intracomm, folde
     along, by_path = (loaded(mesh, on_lines, folder) for on_lines in (True, False))
     assert np.ptp(along["tensions"][0]) > 1e-3 * along["tensions"][0].max()  # capstan friction
     for name, value in along.items():
-        assert_same(value, by_path[name], name, 2e-6)
+        assert_same(value, by_path[name], name, 1e-4)  # friction settles to 1e-3
 
 
 def test_lengths_are_tuned_by_exact_slopes(comm: MPI.Intracomm) -> None:
