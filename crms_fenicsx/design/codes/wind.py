@@ -278,12 +278,9 @@ def _footprint(call: str, scene: Scene, direction: PlanDirection, part: str | No
     c, s = map(float, way / np.hypot(*way))
     membrane = scene.membrane
     membrane.check_finite(call)
-    cells = np.arange(membrane.mesh.mesh.topology.index_map(2).size_local)
     if part is not None:
         checks.named("part", membrane.mesh.parts, part)
-        cells = np.flatnonzero(cells_of(membrane.mesh, (part,))[: len(cells)])
-    points = membrane.positions()[membrane.V.dofmap.list[cells]].reshape(-1, 3)
-    x, y, z = points.T
+    x, y, z = _corners(scene, part).reshape(-1, 3).T
     values = np.array([c * x + s * y, c * y - s * x, z])
     low, high = np.empty(3), np.empty(3)
     membrane.comm.Allreduce(values.min(axis=1, initial=np.inf), low, op=MPI.MIN)
@@ -293,6 +290,14 @@ def _footprint(call: str, scene: Scene, direction: PlanDirection, part: str | No
         raise InputError(f"{call}: the roof has no area in plan; set part= to the roof.")
     first, left, bottom = map(float, low)
     return Footprint((c, s), (first, left), depth, breadth, bottom, float(high[2]))
+
+
+def _corners(scene: Scene, part: str | None) -> Array:
+    """Corners (n, 3, 3) of this rank's cells, or of those of a part, in the current shape."""
+    cells = np.arange(scene.mesh.mesh.topology.index_map(2).size_local)
+    if part is not None:
+        cells = np.flatnonzero(cells_of(scene.mesh, (part,))[: len(cells)])
+    return scene.positions()[scene.V.dofmap.list[cells]]
 
 
 @dataclass(frozen=True)
@@ -422,15 +427,11 @@ def vault(
 def _refuse_saddles(scene: Scene, roof: Footprint, part: str | None) -> None:
     """Refuse a vault that is not arched along the wind, or that a quadratic through its vertices
     bends the other way across it, or twists, by more than half as much. Collective."""
-    membrane = scene.membrane
-    cells = np.arange(membrane.mesh.mesh.topology.index_map(2).size_local)
-    if part is not None:
-        cells = np.flatnonzero(cells_of(membrane.mesh, (part,))[: len(cells)])
-    centres = membrane.positions()[membrane.V.dofmap.list[cells]].mean(axis=1)
+    centres = _corners(scene, part).mean(axis=1)
     s, t = (2 * one - 1 for one in roof.parts(centres.T))
     terms = np.stack([np.ones_like(s), s, t, s * s, s * t, t * t])
     sums = np.column_stack([terms @ terms.T, terms @ (centres[:, 2] - roof.low)])
-    sums = membrane.comm.allreduce(np.ascontiguousarray(sums))
+    sums = scene.comm.allreduce(np.ascontiguousarray(sums))
     _, _, _, along, twist, across = np.linalg.lstsq(sums[:, :6], sums[:, 6], rcond=None)[0]
     if roof.rise <= 1e-3 * roof.depth or (along < 0.0 and max(across, abs(twist)) < -along / 2):
         return
