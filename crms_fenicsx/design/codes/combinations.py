@@ -248,13 +248,10 @@ def _european(state: str, kinds: Mapping[str, str]) -> list[tuple[float, dict[st
         acting = tuple(name for name in chosen if name is not None)
         for lead in acting or (None,):
             others = {name: psi[name] for name in acting if name != lead}
-            if state == "accidental":
-                steady, first = (1.0,), psi[lead][1] if lead is not None else 0.0
-                rest = {k: p[2] for k, p in others.items()}
-            elif state == "characteristic":
+            if state == "characteristic":
                 steady, first, rest = (1.0,), 1.0, {k: p[0] for k, p in others.items()}
-            elif state in ("frequent", "quasi-permanent"):
-                index = 1 if state == "frequent" else 2
+            elif state in ("accidental", "frequent", "quasi-permanent"):
+                index = 2 if state == "quasi-permanent" else 1
                 steady, first = (1.0,), psi[lead][index] if lead is not None else 0.0
                 rest = {k: p[2] for k, p in others.items()}
             else:  # reduced: 6.10b, with the recommended xi = 0.85, table A1.2(B)
