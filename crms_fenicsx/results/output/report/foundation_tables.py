@@ -118,9 +118,9 @@ class FoundationTables:
     def largest(self) -> list[tuple[str, str, float, str]]:
         """Kind of force, foundation, size and combination of the largest of all (force)."""
         kinds = {"uplift": 1, "downward": 3, "horizontal": 5}
-        found = []
+        found, every = [], self.envelope().rows
         for kind, k in kinds.items():
-            rows = [(row[k], str(row[0]), str(row[k + 1])) for row in self.envelope().rows]
+            rows = [(row[k], str(row[0]), str(row[k + 1])) for row in every]
             sizes = [(size, label, case) for size, label, case in rows if isinstance(size, float)]
             if sizes:
                 size, label, case = max(sizes)
