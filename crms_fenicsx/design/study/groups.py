@@ -78,8 +78,8 @@ def combine_in_groups(
     >>> found = study.combine_in_groups(build, mesh, table, groups=4, report="dome.html")
     >>> max(found, key=lambda name: found[name].summary.membrane.largest["warp"].value)
     """
+    from crms_fenicsx.results.output.report.case import BASE
     from crms_fenicsx.results.output.report.reporting import (
-        BASE,
         checked_plan,
         drawn,
         model_of,

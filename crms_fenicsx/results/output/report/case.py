@@ -19,6 +19,9 @@ from crms_fenicsx.results.output.report.page import Figure
 from crms_fenicsx.results.quantities import Solved
 from crms_fenicsx.results.summary import Summary, extreme, summary
 
+BASE = "LC0"
+"""Case name of the state that the first combination started from."""
+
 Corner = tuple[float, ...]
 
 

@@ -25,6 +25,7 @@ from crms_fenicsx.results.cable_order import Order
 from crms_fenicsx.results.output.figures.axes3d import check_view
 from crms_fenicsx.results.output.figures.draw_scene import COLOURS
 from crms_fenicsx.results.output.report.case import (
+    BASE,
     Case,
     Shape,
     case_of,
@@ -52,9 +53,6 @@ from crms_fenicsx.results.output.report.pictures import (
 from crms_fenicsx.results.output.report.results_tables import ResultTables
 from crms_fenicsx.results.output.report.sections import Plan, Report, with_codes
 from crms_fenicsx.results.quantities import QUANTITY_OF, Solved, names_of
-
-BASE = "LC0"
-"""Case name of the state that the first combination started from."""
 
 NOW = "Current state"
 """Case name in a report without combinations."""

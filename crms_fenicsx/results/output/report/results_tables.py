@@ -11,7 +11,7 @@ from typing import Any
 from crms_fenicsx.model.strengths import ALL, SERVICE
 from crms_fenicsx.results.cable_and_bar_results import BarResults, CableResults
 from crms_fenicsx.results.design_checks import Extreme
-from crms_fenicsx.results.output.report.case import Case
+from crms_fenicsx.results.output.report.case import BASE, Case
 from crms_fenicsx.results.output.report.page import (
     WHOLE,
     Cell,
@@ -89,7 +89,7 @@ class ResultTables:
         rows: list[Row] = [
             (
                 f"LC{k}",
-                "base state" if name == "LC0" else name,
+                "base state" if name == BASE else name,
                 states.get(name) if states else None,
                 p if pressed else None,
                 *(known.get(load) or None for load in loads),

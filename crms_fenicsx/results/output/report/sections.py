@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from crms_fenicsx.results.cable_order import Order
-from crms_fenicsx.results.output.report.case import Case
+from crms_fenicsx.results.output.report.case import BASE, Case
 from crms_fenicsx.results.output.report.foundation_tables import (
     FoundationTables,
     anchors,
@@ -272,7 +272,7 @@ class Report:
         if states == [""]:
             return Table(caption, columns[1:], [row[1:] for row in rows], "governing")
         # the base state belongs to no limit state
-        rows = [(row[0] or "not named", *row[1:]) for row in rows if row[0] or row[-1] != "LC0"]
+        rows = [(row[0] or "not named", *row[1:]) for row in rows if row[0] or row[-1] != BASE]
         return Table(caption, columns, rows, "governing", headings=2)
 
     def _basis(self) -> list[PageSection]:
