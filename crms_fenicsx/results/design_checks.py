@@ -15,7 +15,6 @@ from crms_fenicsx.foundation.runtime.errors import as_text
 from crms_fenicsx.model.strengths import ALL, SERVICE
 from crms_fenicsx.model.tolerances import SAME_PLACE
 from crms_fenicsx.results.cable_and_bar_results import Force
-from crms_fenicsx.results.hollows import find_hollows
 from crms_fenicsx.results.membrane_results import MembraneResults
 from crms_fenicsx.results.recovered_values import patches, recovered, reinforced
 
@@ -99,11 +98,13 @@ def checks_of(
     results: MembraneResults,
     found: Any,
     extremes: Mapping[tuple[str, str], Extreme],
+    drainage: tuple[float, Force] | None,
 ) -> tuple[DesignCheck, ...]:
-    """All checks of the present state, whose `Summary` is found but for them. Collective."""
+    """All checks of the present state, whose `Summary` is found but for them, with the least slope
+    of its drainage if that is limited. Collective."""
     checks = _strengths(scene, results, found)
     if found.state in SERVICE:
-        checks = [*_limits(scene, found, extremes), *checks]
+        checks = [*_limits(scene, found, extremes, drainage), *checks]
     return tuple(checks)
 
 
@@ -150,20 +151,21 @@ def _fabric(results: MembraneResults, part: str, used: Extreme) -> DesignCheck:
 
 
 def _limits(
-    scene: Scene, found: Any, extremes: Mapping[tuple[str, str], Extreme]
+    scene: Scene,
+    found: Any,
+    extremes: Mapping[tuple[str, str], Extreme],
+    drainage: tuple[float, Force] | None,
 ) -> Iterator[DesignCheck]:
-    """Checks of the limits in service. Collective."""
-    limits, lasting = scene.design.limits, found.state == LASTING
+    """Checks of the limits in service."""
+    limits = scene.design.limits
     given = {"deflection": limits.deflection, "prestress": limits.prestress}
     for (what, name), one in extremes.items():
         if name in given[what]:
             joint = name != ALL and name not in scene.mesh.parts
             at = None if joint else one.at
             yield DesignCheck(what, name, one.value, given[what][name], at)
-    if limits.slope is not None and lasting:
-        way = find_hollows(scene.net, drainage=True).least
-        if way is not None:
-            yield DesignCheck("slope", ALL, way[0], limits.slope, way[1])
+    if limits.slope is not None and drainage is not None:
+        yield DesignCheck("slope", ALL, drainage[0], limits.slope, drainage[1])
     if limits.water is not None:
         deepest = found.hollows[0] if found.hollows else None
         depth, at = (0.0, None) if deepest is None else (deepest.depth, deepest.at)

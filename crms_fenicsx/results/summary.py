@@ -30,8 +30,14 @@ from crms_fenicsx.results.cable_and_bar_results import (
     joint_reactions,
     triple,
 )
-from crms_fenicsx.results.design_checks import DesignCheck, Extreme, checks_of, in_service
-from crms_fenicsx.results.hollows import Hollow, find_hollows
+from crms_fenicsx.results.design_checks import (
+    LASTING,
+    DesignCheck,
+    Extreme,
+    checks_of,
+    in_service,
+)
+from crms_fenicsx.results.hollows import Hollow, Hollows, find_hollows
 from crms_fenicsx.results.membrane_results import MembraneResults, membrane_results
 from crms_fenicsx.results.quantities import SUMMED_UP, Solved, as_counted, shown_briefly
 from crms_fenicsx.results.reactions import (
@@ -328,17 +334,19 @@ ALL_SUPPORTS, OTHER_SUPPORTS = "all supports", "other supports"
 
 def summary(system: System) -> Summary:
     """Summarise the scene's present state. Collective."""
-    found, results = _without_checks(system)
     scene = system.scene
+    drains = scene.design.limits.slope is not None and scene.case.state == LASTING
+    hollows = find_hollows(scene.net, drains)
+    found, results = _without_checks(system, hollows)
     extremes = {
         key: extreme(scene.comm, values, at, largest=key[0] == "deflection")
         for key, (values, at) in sorted(in_service(scene, results).items())
     }
-    found = replace(found, deflection=extremes.get(("deflection", ALL)))
-    return replace(found, checks=checks_of(scene, results, found, extremes))
+    checks = checks_of(scene, results, found, extremes, hollows.least)
+    return replace(found, deflection=extremes.get(("deflection", ALL)), checks=checks)
 
 
-def _without_checks(system: System) -> tuple[Summary, MembraneResults]:
+def _without_checks(system: System, hollows: Hollows) -> tuple[Summary, MembraneResults]:
     """The summary of the present state without its checks, and the membrane's results.
     Collective."""
     scene, results = system.scene, membrane_results(system)
@@ -373,7 +381,7 @@ def _without_checks(system: System) -> tuple[Summary, MembraneResults]:
         clamp_results(scene),
         scene.case.state,
         results.design,
-        hollows=find_hollows(scene.net).hollows,
+        hollows=hollows.hollows,
         patches={} if used is None else _patch_summaries(results, used, corners),
     )
     return found, results
