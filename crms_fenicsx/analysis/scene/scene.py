@@ -18,13 +18,7 @@ from crms_fenicsx.cabling.cables.cable_net import CableNet
 from crms_fenicsx.energy.terms.term import EnergyTerm, checked_energy
 from crms_fenicsx.foundation.meshes import MembraneMesh
 from crms_fenicsx.foundation.runtime import checks
-from crms_fenicsx.foundation.runtime.arguments import (
-    Finite,
-    PerRank,
-    Positive,
-    Whole,
-    collective,
-)
+from crms_fenicsx.foundation.runtime.arguments import Finite, PerRank, Positive, Whole, collective
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices
 from crms_fenicsx.foundation.runtime.checks import counted, span
 from crms_fenicsx.foundation.runtime.errors import InputError, raised_together
