@@ -19,7 +19,7 @@ from crms_fenicsx.analysis.scene.state import SceneState
 from crms_fenicsx.analysis.steps.increment_solver import IncrementSolver, Options
 from crms_fenicsx.analysis.steps.load_cases import (
     Combination,
-    check_combinations,
+    checked_combinations,
     checked_states,
     combined,
 )
@@ -492,8 +492,7 @@ class Solver:
         ... })
         >>> max(("snow", "storm"), key=lambda name: found[name].snapshot.tensions["ridge"])
         """
-        check_combinations(self.scene, combinations)
-        return combined(self, combinations, steps)
+        return combined(self, checked_combinations(self.scene, combinations), steps)
 
     @collective
     def check_ponding(self, rain: Positive, *, weight: Positive = 10.0) -> PondingCheck:

@@ -218,9 +218,7 @@ class FabricDesign:
 
 def acting_loads(given: Mapping[str, Any]) -> list[str]:
     """Names of the loads with a factor other than 0 in a combination."""
-    return [name for name, factor in given.items()
-            if isinstance(factor, int | float) and factor != 0.0
-            and name not in SETTINGS]  # fmt: skip
+    return [name for name, factor in given.items() if name not in SETTINGS and factor != 0.0]
 
 
 def _least(what: str, given: Mapping[str, float], acting: Iterable[str]) -> float:
@@ -278,8 +276,8 @@ class CableDesign:
     service: Positive = 0.45
 
     def __post_init__(self) -> None:
-        for name, high in (("ending", 1.0), ("service", 1.0)):
-            checks.within(f"CableDesign: {name}", getattr(self, name), 0.0, high)
+        for name in ("ending", "service"):
+            checks.within(f"CableDesign: {name}", getattr(self, name), 0.0, 1.0)
 
     def of(self, state: str) -> float:
         """Design value in a limit state (force)."""

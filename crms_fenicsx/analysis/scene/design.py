@@ -16,6 +16,7 @@ from crms_fenicsx.model.strengths import (
     FabricDesign,
     Limits,
     Strengths,
+    acting_loads,
     checked_cables,
     checked_strengths,
     patch_radii,
@@ -145,7 +146,7 @@ class Design:
         """Design strengths in a limit state under loads, by part; none in service."""
         if state in SERVICE:
             return {}
-        acting = [name for name, factor in factors.items() if factor != 0.0]
+        acting = acting_loads(factors)
         return {part: one.of(state, acting) for part, one in self.membrane.strengths.items()}
 
     def of_cable(self, name: str, state: str) -> float | None:

@@ -19,7 +19,7 @@ from crms_fenicsx.foundation.runtime.handle import ReadOnly
 from crms_fenicsx.model.bar import PlacedBar
 from crms_fenicsx.model.changed_materials import numbers, with_numbers
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.model.strengths import AIR, LIMIT_STATES, SERVICE, SETTINGS
+from crms_fenicsx.model.strengths import AIR, LIMIT_STATES, SERVICE, SETTINGS, acting_loads
 
 
 @dataclass(frozen=True)
@@ -132,31 +132,34 @@ def given_by(scene: Scene, name: str, combination: Mapping[str, Any]) -> Given:
     return Given(air, loads or None, state, prestress, tuple(without))
 
 
-def check_combinations(scene: Scene, combinations: Mapping[str, Mapping[str, Any]]) -> None:
-    """Refuse combinations that cannot be applied; see `Solver.combine`."""
+def checked_combinations(
+    scene: Scene, combinations: Mapping[str, Mapping[str, Any]]
+) -> dict[str, Given]:
+    """Read combinations, and refuse those that cannot be applied; see `Solver.combine`."""
+    found = dict[str, Given]()
     example = '{"weight": 1.35, "snow": 1.5}'
     checks.collection("combine: combinations", combinations, Mapping, f'{{"snow": {example}}}', 1)
     for name, one in combinations.items():
         checks.text("combine: a name", name)
         checks.collection(f"combine: {name!r}", one, Mapping, example)
-        given = given_by(scene, name, one)
+        given = found[name] = given_by(scene, name, one)
         try:
             checked_target(scene, load=given.factors, **given.air)
         except InputError as error:
             raise InputError(f"combine: {name!r}: {error}") from None
-        acting = [load for load, x in (scene.factors | (given.factors or {})).items() if x]
         if given.state not in SERVICE:
+            acting = acting_loads(scene.factors | (given.factors or {}))
             for fabric in scene.membrane.strengths.values():
                 fabric.check_loads(f"combine: {name!r}", given.state, acting)
+    return found
 
 
 def combined(
-    solver: Combines, combinations: Mapping[str, Mapping[str, Any]], steps: int
+    solver: Combines, combinations: Mapping[str, Given], steps: int
 ) -> dict[str, Combination]:
     """Apply checked combinations, each from the current state; see `Solver.combine`. Collective."""
     found, scene = dict[str, Combination](), solver.scene
-    for name, combination in checks.in_one_order(scene.comm, combinations).items():
-        given = given_by(scene, name, combination)
+    for name, given in checks.in_one_order(scene.comm, combinations).items():
         with solver.branch(name) as start:
             base = next((one.base for one in found.values()), start)  # equal, so kept once
             scene.record(case=LoadCase(given.state, base))

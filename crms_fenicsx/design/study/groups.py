@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from mpi4py import MPI
 
-from crms_fenicsx.analysis.steps.load_cases import check_combinations
+from crms_fenicsx.analysis.steps.load_cases import checked_combinations
 from crms_fenicsx.design.study.values import Build, built
 from crms_fenicsx.foundation.meshes.membrane_mesh import MembraneMesh, redistributed
 from crms_fenicsx.foundation.runtime import checks
@@ -102,7 +102,7 @@ def combine_in_groups(
     copy = redistributed(mesh, own)
     with raised_together(comm):
         solver = built("combine_in_groups", build, copy)
-        check_combinations(solver.scene, combinations)
+        checked_combinations(solver.scene, combinations)
     scene, combinations = solver.scene, checks.in_one_order(comm, combinations)
     checks.same(
         comm, "combine_in_groups: build", cells=scene.mesh.mesh.topology.index_map(2).size_global,
