@@ -39,6 +39,7 @@ from crms_fenicsx.results.output.report.page import (
 )
 from crms_fenicsx.results.output.report.results_tables import ResultTables, Row
 from crms_fenicsx.results.output.report.verdict import (
+    KINDS,
     NAMES,
     OF_MEMBRANE,
     governing,
@@ -247,8 +248,9 @@ class Report:
         every = judged(self.cases, plan.strain_limit, plan.cable_strengths)
         limited = {one.state for one in every if one.what == "deflection"}
         for one in governing(every):
-            name, factor = NAMES[one.what][0], 1.0 if one.kind else 100.0
-            unit = {"": " %", "angle": "°"}.get(one.kind) or units.plain(one.kind)
+            name, kind = NAMES[one.what][0], KINDS.get(one.what, "")
+            unit = {"": " %", "angle": "°"}.get(kind) or units.plain(kind)
+            factor = 1.0 if kind else 100.0
             effect, limit = (f"{number(factor * x)}{unit}" for x in (one.effect, one.limit))
             member = one.member or (WHOLE if one.what in OF_MEMBRANE else "")
             rows.append((one.state, name, member, effect, limit, per_cent(one.share), one.case))

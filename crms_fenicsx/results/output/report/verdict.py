@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from crms_fenicsx.model.strengths import SERVICE
-from crms_fenicsx.results.design_checks import LEAST
+from crms_fenicsx.model.strengths import ALL, SERVICE
+from crms_fenicsx.results.design_checks import LEAST, DesignCheck
 from crms_fenicsx.results.output.report.case import Case
 from crms_fenicsx.results.output.report.page import WHOLE, Verdict, number, per_cent, place
 
@@ -40,18 +40,12 @@ MOST = 8
 """Number of members or combinations that a sentence names."""
 
 
-@dataclass(frozen=True)
-class Judged:
-    """An effect of one state against its limit."""
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Judged(DesignCheck):
+    """A check in a state of the report, of what is in `NAMES`."""
 
     state: str  # limit state
-    what: str  # out of `NAMES`
-    member: str  # cable, bar or part; "" is the whole membrane
     case: str  # name of the combination
-    share: float  # utilisation
-    effect: float
-    limit: float
-    kind: str = ""  # of the effect's unit
 
 
 def judged(cases: Iterable[Case], strain: float, cables: Mapping[str, float]) -> list[Judged]:
@@ -61,16 +55,13 @@ def judged(cases: Iterable[Case], strain: float, cables: Mapping[str, float]) ->
     for case in cases:
         summary, state = case.summary, case.state
         largest = summary.membrane.largest["strain 1"].value
-        found.append(Judged(state, "strain", "", case.name, largest / strain, largest, strain))
-        for one in summary.checks:
-            found.append(Judged(state, one.what, one.member, case.name, one.share, one.effect,
-                                one.limit, KINDS[one.what]))  # fmt: skip
-        for name, cable in summary.cables.items() if state not in SERVICE else ():
-            if name in cables and cable.strength is None:
-                share, given = cable.largest / cables[name], cables[name]
-                found.append(
-                    Judged(state, "cable", name, case.name, share, cable.largest, given, "force")
-                )
+        every = [DesignCheck("strain", ALL, largest, strain), *summary.checks]
+        every += [
+            DesignCheck("cable", name, cable.largest, cables[name])
+            for name, cable in summary.cables.items()
+            if state not in SERVICE and name in cables and cable.strength is None
+        ]
+        found += [Judged(**vars(one), state=state, case=case.name) for one in every]
     return found
 
 
@@ -131,7 +122,7 @@ def listed(names: Sequence[str]) -> str:
 def _excess(found: Sequence[Judged]) -> Iterator[str]:
     """What exceeds its limit: a sentence for each limit state and kind of check, which names the
     members, the most utilised one first."""
-    beyond = [one for one in found if not one.share <= 1.0]
+    beyond = [one for one in found if not one.passed]
     for first in governing(beyond):
         own = [one for one in beyond if (one.state, one.what) == (first.state, first.what)]
         most = dict[str, Judged]()
