@@ -10,12 +10,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar, Protocol, TypeVar
 
 from crms_fenicsx.foundation.runtime.errors import InputError
 from crms_fenicsx.results.output.figures.plots import units_of_results
 from crms_fenicsx.results.output.history import csv_line
 
+Item = TypeVar("Item")
 Cell = str | int | float | None
 """None is an empty cell: no value."""
 
@@ -214,11 +215,7 @@ class Table:
         if self.headings == 1:
             return [list(self.rows)]
         every = (list(group) for _, group in groupby(self.rows, key=lambda row: row[0]))
-        parts = ((group, math.ceil(len(group) / SHORT)) for group in every)
-        return [
-            group[k * len(group) // n : (k + 1) * len(group) // n]
-            for group, n in parts for k in range(n)
-        ]  # fmt: skip
+        return [part for group in every for part in in_parts(group, SHORT)]
 
     def csv(self) -> str:
         """The table as CSV text, numbers with all digits, texts escaped."""
@@ -271,6 +268,12 @@ def check_template(template: Path) -> None:
             f"report: the template {str(template)!r} leaves out the report's sections; begin it "
             'with {% extends "report.html" %}, or write `sections` as the package\'s template does.'
         )
+
+
+def in_parts(items: list[Item], most: int) -> list[list[Item]]:
+    """Items in parts of up to `most`, of nearly the same length."""
+    n = math.ceil(len(items) / most)
+    return [items[k * len(items) // n : (k + 1) * len(items) // n] for k in range(n)]
 
 
 def page(

@@ -62,7 +62,6 @@ def checked_plan(comm: MPI.Intracomm, scene: Scene, filename: str | Path, **opti
     """Checked options of a report. Collective on `comm`."""
     plan = Plan(Path(), **options)
     plan = replace(plan, about=plan.about or {}, basis=plan.basis or {})
-    plan = replace(plan, cable_strengths=plan.cable_strengths or {})
     for name in ("title", "unit", "force"):
         checks.of_type(f"report: {name}", getattr(plan, name), str)
     for name, given, example in (
@@ -71,7 +70,7 @@ def checked_plan(comm: MPI.Intracomm, scene: Scene, filename: str | Path, **opti
         checks.collection(f"report: {name}", given, Mapping, example)
         for text in (text for pair in given.items() for text in pair):
             checks.of_type(f"report: {text!r} in {name}", text, str)
-    strengths = _checked_strengths(scene, plan.cable_strengths)
+    strengths = _checked_strengths(scene, plan.cable_strengths or {})
     further = plan.sections
     if not isinstance(further, Sequence) or not all(isinstance(x, PageSection) for x in further):
         raise InputError(

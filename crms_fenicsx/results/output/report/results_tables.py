@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -17,6 +16,7 @@ from crms_fenicsx.results.output.report.page import (
     Cell,
     Table,
     Units,
+    in_parts,
     per_cent,
     place,
 )
@@ -83,14 +83,14 @@ class ResultTables:
             base = [("base state", pressure, factors)]
         every = base + [one for one in every if one not in base]
         loads = list(dict.fromkeys(load for _, _, known in every for load in known))
-        pressed, first = any(p for _, p, _ in every), 0
+        pressed = any(p for _, p, _ in every)
         first = 0 if len(every) > 1 or every[0][0] == "base state" else 1
         states = {case.name: case.state for case in self.cases if case.state}
         rows: list[Row] = [
             (
                 f"LC{k}",
                 "base state" if name == BASE else name,
-                states.get(name) if states else None,
+                states.get(name),
                 p if pressed else None,
                 *(known.get(load) or None for load in loads),
                 divided.get(name) if reduced else None,
@@ -256,17 +256,13 @@ class ResultTables:
 
     def _matrix(self, caption: str, found: Mapping[str, Mapping[str, float]]) -> list[Table]:
         """Values by item and case, with a row for each case and up to `WIDE` items a table."""
-        names = list(found)
-        tables = math.ceil(len(names) / WIDE)
-        parts = [names[k * len(names) // tables : (k + 1) * len(names) // tables]
-                 for k in range(tables)]  # fmt: skip
         return [
             Table(
                 caption.format_map(self.units), ["Combination", *part],
                 [(case.name, *(found[name].get(case.name) for name in part))
                  for case in self.cases], small=len(part) > 8,
             )
-            for part in parts
+            for part in in_parts(list(found), WIDE)
         ]  # fmt: skip
 
     def lengths(self) -> Table:
