@@ -24,13 +24,7 @@ from crms_fenicsx.model.versions import UNBALANCED
 from crms_fenicsx.results.cable_order import Order
 from crms_fenicsx.results.output.figures.axes3d import check_view
 from crms_fenicsx.results.output.figures.draw_scene import COLOURS
-from crms_fenicsx.results.output.report.case import (
-    BASE,
-    Case,
-    Shape,
-    case_of,
-    shape_of,
-)
+from crms_fenicsx.results.output.report.case import BASE, Case, Shape, case_of, shape_of
 from crms_fenicsx.results.output.report.model_tables import Model, merged, model_of_scene
 from crms_fenicsx.results.output.report.page import (
     MACROS,
