@@ -118,6 +118,11 @@ class LaidCable(Handle[CableState]):
         return not HOLDS[self.hold].sideways or self.state.laid.line is not None
 
     @property
+    def takes_line(self) -> bool:
+        """Whether it lies along a line of the mesh and may slide sideways with it."""
+        return HOLDS[self.hold].sideways and self.state.laid.line is not None
+
+    @property
     def folds_cells(self) -> bool:
         """Whether it crosses edges, and does not only run along them."""
         return any(node.kind == "fold" for node in self.state.nodes)

@@ -60,7 +60,7 @@ class CableContribution(Contribution):
         super().__init__(scene)
         assert scene.net.strip is not None
         nodes, shifts = scene.net.nodes, RowShifts.none()
-        if slide and any(cable.state.laid.line is not None for cable in scene.cables):
+        if slide and any(cable.takes_line for cable in scene.cables):
             shape = scene.net.strip_shape()
             kept = kept_vertices(scene)
             shifts = RowShifts.of(scene.cables, nodes, shape, scene.membrane, kept)

@@ -12,7 +12,6 @@ from crms_fenicsx.cabling.cables.row_shifts import fixed_vertices
 from crms_fenicsx.foundation.meshes.triangles import norm
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.foundation.runtime.errors import as_text
-from crms_fenicsx.model.cable import HOLDS
 from crms_fenicsx.model.laid_cable import LaidCable
 
 COLLAPSED = 1e-3
@@ -23,7 +22,7 @@ what is left, so that rows that draw each other together would never end."""
 def collapse_words(scene: Scene, place: Array, near: Sequence[LaidCable]) -> str:
     """Words on cells that collapse at a stress-free place (3,) with some rows near it, the nearest
     first. Collective."""
-    slides = [cable.name for cable in near if cable.taut and HOLDS[cable.hold].sideways]
+    slides = [cable.name for cable in near if cable.taut and cable.takes_line]
     stays = [cable.name for cable in near if cable.name not in slides]
     where = f"cells near {as_text(place)} collapse"
     if len(slides) > 1:

@@ -91,7 +91,7 @@ class ContactLoop:
             elif not changes and not looked and not ended:  # a look may have changed paths
                 system.write_scene()
             solved = outcome.reason != "interrupted" and not changes
-            way = system.follow_rows(begins, solved)
+            way = system.follow_rows(begins, solved, self._once)
             if system.collapse:
                 return replace(total, converged=False, reason=system.collapse)
             # friction is updated from places also near equilibrium, where a look ends a solve; at

@@ -33,8 +33,8 @@ logger = logging.getLogger("crms_fenicsx")
 
 SLOW, MOTIONS = 0.7, 5
 """Ratio of a vertex's shift to the one before, after solves with the same contacts, above which it
-is slow, and number of slow ones in a load step after which the vertex stays. Below nearly slack
-cables it would wander for ever: the errors of the mesh are stiffer than the cable there."""
+is slow (1 in wind), and number of slow ones in a load step after which the vertex stays. Below
+nearly slack cables it would wander for ever: the mesh's errors are stiffer than the cable there."""
 
 
 @dataclass
@@ -54,7 +54,7 @@ class Motions:
     """Shifts of the last solves on the same contacts, and those made then."""
     _steps: list[Array] = field(default_factory=list)
 
-    def let_rest(self, rows: RowShifts, shifts: Array, solved: bool) -> None:
+    def let_rest(self, rows: RowShifts, shifts: Array, solved: bool, windy: bool) -> None:
         """Let vertices stay whose shifts (m,), relative to the cell size, are slow."""
         if not np.array_equal(rows.vertices, self._ids):
             slow = np.zeros(len(shifts), dtype=np.int64)
@@ -62,7 +62,9 @@ class Motions:
             slow[new] = self._slow[old]
             self._ids, self._slow, self._ways, self._steps = rows.vertices, slow, [], []
         elif solved:
-            self._slow += shifts > np.maximum(SLOW * self._last, SETTLED)
+            # as the wind turns, so do the places at which rows come to rest
+            ratio = 1.0 if windy else SLOW
+            self._slow += shifts > np.maximum(ratio * self._last, SETTLED)
         self._last = shifts
         rest = np.setdiff1d(self._ids[self._slow >= MOTIONS], self.resting)
         if len(rest):
@@ -114,12 +116,18 @@ class RowSliding:
         self.motions = Motions()
 
     def follow(
-        self, shifts: ShiftContribution, potential: Potential, begins: bool, solved: bool
+        self,
+        shifts: ShiftContribution,
+        potential: Potential,
+        begins: bool,
+        solved: bool,
+        windy: bool,
     ) -> float:
         """Move the stress-free places by the shifts of the last solve, and the mesh around them
         unless all are small; return the largest, relative to the cell size. Vertices below spans
         move under these. `begins`: whether it is the first in a solve; `solved`: whether it
-        follows a solved state without new contacts. Collective."""
+        follows a solved state without new contacts; `windy`: whether the wind is to turn after it.
+        Collective."""
         self.collapse = ""
         self._aside = 0 if begins else self._aside
         rows, membrane = shifts.numbering.shifts, self.scene.membrane
@@ -133,10 +141,11 @@ class RowSliding:
         way = max(way, aside)
         if way == 0.0:
             return 0.0
-        self.motions.let_rest(rows, norm(ways) / rows.sizes, solved)
+        self.motions.let_rest(rows, norm(ways) / rows.sizes, solved, windy)
         if way > NEAR:
             motion = self._renewed(rows.vertices)
-            X, x = motion.move(X, x, (rows.vertices, self.motions.further(rows, ways, solved)))
+            further = self.motions.further(rows, ways, solved and not windy)
+            X, x = motion.move(X, x, (rows.vertices, further))
             self.collapse = self._narrowed(motion, X, COLLAPSED)
         self._keep_rows(moved=False)
         place_stress_free(self.scene, X)

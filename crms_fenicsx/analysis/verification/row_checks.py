@@ -41,7 +41,7 @@ def row_checks(
     numbering = system.cables.numbering
     rows = {
         c: cable for c, cable in enumerate(numbering.cables)
-        if system.slide and cable.taut and cable.state.laid.line and HOLDS[cable.hold].sideways
+        if system.slide and cable.taut and cable.takes_line
     }  # fmt: skip
     if not rows:
         return {}

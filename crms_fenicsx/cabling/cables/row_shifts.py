@@ -67,10 +67,7 @@ class RowShifts:
         kept: Booleans,
     ) -> RowShifts:
         """Those of taut cables on their rows, but for vertices (n,) to be kept. Collective."""
-        slides = np.array(
-            [c.taut and c.state.laid.line is not None and HOLDS[c.hold].sideways for c in cables],
-            dtype=bool,
-        )
+        slides = np.array([c.taut and c.takes_line for c in cables], dtype=bool)
         if not slides.any():
             return cls.none()
         vertex = nodes.size == 1
@@ -240,7 +237,7 @@ def fixed_vertices(membrane: Membrane, kept: Booleans, but: Booleans | bool = Fa
     sums = la.vector(membrane.V.dofmap.index_map, 4, dtype=np.float64)
     total = sums.array.reshape(-1, 4)
     for k, values in enumerate((free, np.ones(own), kinds, kinds**2)):
-        np.add.at(total[:, k], dofs, values[:, None])
+        total[:, k] = np.bincount(dofs.ravel(), np.repeat(values, 3), len(total))
     sums.scatter_reverse(la.InsertMode.add)
     sums.scatter_forward()
     n_free, count, mean, square = total.T

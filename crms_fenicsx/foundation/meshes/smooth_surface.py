@@ -51,6 +51,8 @@ class SmoothSurface:
         """Normals (k, 3) at vertices (k,) of the quadrics through them that fit their neighbours;
         zero where the surface is not smooth. Where the cells around are not symmetric, the mean of
         their normals is off by (h / R)^2, to the same side all over a regular mesh."""
+        from scipy.sparse import csr_array
+
         normals = self.normals[vertices]
         row = np.full(len(self.points), -1)
         row[vertices] = np.where(normals.any(axis=1), np.arange(len(vertices)), -1)
@@ -66,9 +68,9 @@ class SmoothSurface:
         second = cross(normals, first)
         x, y, z = (dot(ways, axis[of]) for axis in (first, second, normals))
         terms = np.stack([x, y, x * x, x * y, y * y], axis=1)
-        matrix, right = np.zeros((len(vertices), 5, 5)), np.zeros((len(vertices), 5))
-        np.add.at(matrix, of, terms[:, :, None] * terms[:, None, :])
-        np.add.at(right, of, terms * z[:, None])
+        sums = csr_array((np.ones(len(of)), (of, np.arange(len(of)))), (len(vertices), len(of)))
+        products = (terms[:, :, None] * terms[:, None, :]).reshape(-1, 25)
+        matrix, right = (sums @ products).reshape(-1, 5, 5), sums @ (terms * z[:, None])
         # four neighbours do not determine all terms: the smallest ones then
         found = np.einsum("nij,nj->ni", np.linalg.pinv(matrix, 1e-9, hermitian=True), right)
         normals = normals - found[:, :1] * first - found[:, 1:2] * second
