@@ -314,3 +314,27 @@ def test_other_scenes_are_refused(comm: MPI.Intracomm) -> None:
     whole = patterns.flatten(patterns.cut(mesh, []), FABRIC)
     with pytest.raises(InputError, match=r"'A' slides sideways with a line.*pocket"):
         patterns.sew(whole, scene=scene)
+
+
+@pytest.mark.ranks
+def test_pieces_and_supports_are_in_the_order_of_counting(comm: MPI.Intracomm) -> None:
+    """In results, checks and messages, beyond nine of them."""
+    mesh = meshes.rectangle(comm, 22.0, 4.0, 1.0, structured=True)
+    seams = [
+        patterns.plane_section(mesh, (2.0 * k, 2.0, 0.0), (1.0, 0.0, 0.0), name=f"seam {k}")
+        for k in range(1, 11)
+    ]
+    pattern = patterns.flatten(patterns.cut(mesh, seams), FABRIC, warp="seams")
+    scene = patterns.sew(pattern)
+    for seam in pattern.pieces.lines:
+        scene.fix(seam)
+    scene.fix("boundary")
+    pieces = [f"piece {k}" for k in range(1, 12)]
+    scene.set_strengths(dict.fromkeys(reversed(pieces), (80.0, 70.0)))
+    summary = advanced(Solver(scene), pressure=0.3).summary()
+    assert [*summary.parts][1:] == pieces
+    assert [check.member for check in summary.checks if check.what.startswith("fabric")] == pieces
+    groups = [name for name in summary.supports if name.startswith("seam")]
+    assert groups == [f"seam {k}" for k in range(1, 11)]
+    with pytest.raises(InputError, match=r"seam 1, seam 2, .*seam 10"):
+        scene.vertices("seam 11")
