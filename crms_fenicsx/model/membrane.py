@@ -91,10 +91,9 @@ class Membrane:
         self.mesh, self.comm = mesh, mesh.comm
         _ = mesh.overlaps  # computed now; needed wherever parts are named
         # tags: material number of each cell, None with a single material; materials by number
-        self.cell_tags, self.materials = _assign_materials(mesh, material)
+        # and parts by the number of their material
+        self.cell_tags, self.materials, self.parts = _assign_materials(mesh, material)
         self.first_materials = dict(self.materials)  # before `Scene.set_material`
-        named = material if isinstance(material, Mapping) else {}
-        self.parts = dict(enumerate(sorted(named, key=repr)))  # by number of their material
         self.pressed = _pressed_cells(mesh, pressure_on)  # whether pressure acts on each local cell
         self.pressure_on = pressure_on
         self.V = fem.functionspace(mesh.mesh, ("Lagrange", 1, (3,)))
@@ -292,7 +291,7 @@ class Membrane:
                     "of coordinates."
                 )
             elif where not in mesh.edges and where not in mesh.points:
-                names = ", ".join(sorted({*mesh.edges, *mesh.points}))
+                names = ", ".join(sorted({*mesh.edges, *mesh.points}, key=checks.as_counted))
                 raise InputError(
                     f"vertices: the mesh has no group of edges or points {where!r}; it has {names}."
                 )
@@ -367,10 +366,11 @@ class Membrane:
 
 def _assign_materials(
     mesh: MembraneMesh, material: MembraneMaterial | Mapping[str, MembraneMaterial]
-) -> tuple[MeshTags | None, dict[int, MembraneMaterial]]:
-    """Material number of each cell (None with a single material), and materials by number."""
+) -> tuple[MeshTags | None, dict[int, MembraneMaterial], dict[int, str]]:
+    """Material number of each cell (None with a single material), and materials and parts by
+    number."""
     if isinstance(material, MembraneMaterial):
-        return None, {0: material}
+        return None, {0: material}, {}
     if not isinstance(material, Mapping):
         raise InputError(
             f"Scene: material = {material!r} is not a membrane material; use IsotropicMembrane, "
@@ -392,7 +392,9 @@ def _assign_materials(
                 "every part of the mesh."
             )
     cells = np.arange(len(tags), dtype=np.int32)
-    return meshtags(mesh.mesh, 2, cells, tags), {k: value for k, (_, value) in enumerate(given)}
+    numbered = list(enumerate(given))
+    materials, parts = {k: own for k, (_, own) in numbered}, {k: part for k, (part, _) in numbered}
+    return meshtags(mesh.mesh, 2, cells, tags), materials, parts
 
 
 def _pressed_cells(mesh: MembraneMesh, pressure_on: Sequence[str] | None) -> Booleans:

@@ -14,6 +14,7 @@ from crms_fenicsx.analysis.equilibrium.system import System
 from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.foundation.dofs.layout import edge_ends
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices, Integers
+from crms_fenicsx.foundation.runtime.checks import as_counted
 from crms_fenicsx.results.cable_and_bar_results import Force, triple
 from crms_fenicsx.results.reactions import (
     AT,
@@ -121,7 +122,7 @@ def partition(scene: Scene) -> dict[str, Indices]:
     groups = {name: dofs[dofs < n] for name, (_, dofs) in held_groups(scene.membrane).items()}
     counts = {name: comm.allreduce(len(own)) for name, own in groups.items()}
     found = dict[str, Indices]()
-    for name in sorted(groups, key=lambda one: (-counts[one], one)):
+    for name in sorted(groups, key=lambda one: (-counts[one], as_counted(one))):
         own = groups[name]
         own = own[left[own]]
         left[own] = False

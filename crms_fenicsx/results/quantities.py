@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -129,11 +128,6 @@ SUMMED_UP = (*SHOWN[:-1], "strain 1", "utilisation")
 QUANTITY_OF = {"stress": "true force 1", "stress 2": "true force 2", "strain": "strain 1"}
 QUANTITY_OF |= {name: name for name in ("warp", "weft", "shear", "state", "utilisation")}
 """Quantities by their names as colours of `draw`."""
-
-
-def as_counted(name: str) -> list[tuple[str, int]]:
-    """Key that sorts names as people count: "1", "2", "10"."""
-    return [(text, int(digits or -1)) for text, digits in re.findall(r"(\D*)(\d*)", name)]
 
 
 def shown_briefly(names: Collection[str]) -> tuple[str, ...]:

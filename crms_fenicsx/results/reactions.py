@@ -18,6 +18,7 @@ from crms_fenicsx.foundation.dofs.block_patterns import StiffnessMatrix
 from crms_fenicsx.foundation.dofs.layout import edge_ends
 from crms_fenicsx.foundation.meshes.triangles import closest_on_segments
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices, Integers
+from crms_fenicsx.foundation.runtime.checks import as_counted
 from crms_fenicsx.foundation.runtime.errors import InputError, as_text
 from crms_fenicsx.model.bar import Joint
 from crms_fenicsx.model.membrane import COMPONENTS, Marker, Membrane
@@ -191,7 +192,7 @@ def _place(scene: Scene, where: str | Marker) -> tuple[Indices, list[Array]]:
     if not isinstance(where, str) or where in mesh.edges or where in mesh.points:
         return scene.vertices(where), []
     if where not in joints:
-        known = ", ".join(sorted({*mesh.edges, *mesh.points, *joints}))
+        known = ", ".join(sorted({*mesh.edges, *mesh.points, *joints}, key=as_counted))
         raise InputError(
             f"reactions: there is no group of vertices or held joint {where!r}; there are {known}."
         )
@@ -244,8 +245,8 @@ def nodal_forces(system: System) -> Array:
 def held_groups(membrane: Membrane) -> dict[str, tuple[str, Indices]]:
     """Directions and local vertices, with ghosts, of groups held as a whole. Collective."""
     mesh, found = membrane.mesh, {}
-    groups = [(name, 1, members) for name, members in sorted(mesh.edges.items())]
-    groups += [(name, 0, members) for name, members in sorted(mesh.points.items())]
+    groups = [(name, 1, mesh.edges[name]) for name in sorted(mesh.edges, key=as_counted)]
+    groups += [(name, 0, mesh.points[name]) for name in sorted(mesh.points, key=as_counted)]
     for name, dimension, members in groups:
         dofs = fem.locate_dofs_topological(membrane.V, dimension, members)
         free = membrane.comm.allreduce(np.count_nonzero(~membrane.held[dofs], axis=0))

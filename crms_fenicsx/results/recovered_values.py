@@ -24,6 +24,7 @@ from dolfinx.mesh import exterior_facet_indices
 from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.foundation.dofs.layout import edge_ends
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers
+from crms_fenicsx.foundation.runtime.checks import as_counted
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.model.strengths import ALL
 from crms_fenicsx.model.tolerances import SAME_PLACE
@@ -66,7 +67,7 @@ def patches(scene: Scene) -> dict[str, Patch]:
     membrane = scene.membrane
     own = membrane.V.dofmap.index_map.size_local
     reason, group = _reasons(scene)[:own], np.full(own, "", dtype=object)
-    for name in sorted(membrane.mesh.points):
+    for name in sorted(membrane.mesh.points, key=as_counted):
         dofs = membrane.vertices(name)
         dofs = dofs[dofs < own]
         group[dofs[group[dofs] == ""]] = name
@@ -102,7 +103,7 @@ def _named(membrane: Membrane, found: list[tuple[Force, str, str]]) -> dict[str,
         single = group and groups.count(group) == 1
         name = group if single else f"{group or 'corner'} {number}"
         named[name] = Patch(place, radius, reason, given)
-    return named
+    return {name: named[name] for name in sorted(named, key=as_counted)}
 
 
 def _reasons(scene: Scene) -> Integers:

@@ -13,7 +13,7 @@ from crms_fenicsx.analysis.steps.load_cases import Combination, back_to_now
 from crms_fenicsx.cabling.cables.deformed_surface import CurrentSurface
 from crms_fenicsx.foundation.meshes.triangles import double_areas, norm
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Indices, Integers
-from crms_fenicsx.foundation.runtime.checks import span
+from crms_fenicsx.foundation.runtime.checks import as_counted, span
 from crms_fenicsx.foundation.runtime.errors import as_text
 from crms_fenicsx.model.membrane_load import Pond
 from crms_fenicsx.model.strengths import ALL, LIMIT_STATES, SERVICE, DesignStrength
@@ -39,7 +39,7 @@ from crms_fenicsx.results.design_checks import (
 )
 from crms_fenicsx.results.hollows import Hollow, Hollows, find_hollows
 from crms_fenicsx.results.membrane_results import MembraneResults, membrane_results
-from crms_fenicsx.results.quantities import SUMMED_UP, Solved, as_counted, shown_briefly
+from crms_fenicsx.results.quantities import SUMMED_UP, Solved, shown_briefly
 from crms_fenicsx.results.reactions import (
     HeldEnd,
     ends_at,
@@ -340,7 +340,7 @@ def summary(system: System) -> Summary:
     found, results = _without_checks(system, hollows)
     extremes = {
         key: extreme(scene.comm, values, at, largest=key[0] == "deflection")
-        for key, (values, at) in sorted(in_service(scene, results).items())
+        for key, (values, at) in in_service(scene, results).items()
     }
     checks = checks_of(scene, results, found, extremes, hollows.least)
     return replace(found, deflection=extremes.get(("deflection", ALL)), checks=checks)

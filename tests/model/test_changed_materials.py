@@ -222,3 +222,18 @@ def test_what_differs_by_more_than_numbers_is_refused(comm: MPI.Intracomm) -> No
     scene, ridge = solver.scene, solver.scene.cable("ridge")
     refused(lambda: scene.set_stiffness({ridge: 0.0}), "EA of 'ridge' = 0.0 is not positive")
     assert ridge.cable == CABLE
+
+
+@pytest.mark.ranks
+def test_of_a_part_inside_another(comm: MPI.Intracomm) -> None:
+    """The one that is named, whatever the order of names: "patch" lies inside of "roof", and is
+    numbered after it, though it comes before it in the alphabet."""
+    points, cells = [(0, 0), (1, 0), (2, 0), (0, 1), (1, 1), (2, 1)], [(0, 1, 3), (1, 4, 3)]
+    cells += [(1, 2, 4), (2, 5, 4)]
+    parts = {"roof": [0, 1, 2, 3], "patch": [2, 3]}
+    mesh = meshes.from_arrays(comm, np.array(points, dtype=float), cells, parts=parts)
+    scene = Scene(mesh, {"roof": FOIL, "patch": LINEAR})
+    scene.set_material({"patch": replace(LINEAR, E=70.0)})
+    assert [own.E for own in scene.materials.values()] == [FOIL.E, 70.0]  # type: ignore[attr-defined]
+    with pytest.raises(InputError, match="of part 'patch' has wrinkling"):
+        scene.set_material({"patch": FOIL})

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from crms_fenicsx.design.patterns.pattern_surface import PatternSurface
 from crms_fenicsx.design.patterns.seams import Seam
 from crms_fenicsx.foundation.meshes.cutting.division import CutNodes, chords_of, course, divided
 from crms_fenicsx.foundation.meshes.edge_table import edge_keys, edges_of
+from crms_fenicsx.foundation.meshes.membrane_mesh import MembraneMesh
 from crms_fenicsx.foundation.meshes.surface import BOUNDARY, CheckedSurface, check_shapes
 from crms_fenicsx.foundation.meshes.triangles import dot, double_areas, norm
 from crms_fenicsx.foundation.runtime.arrays import Array, Integers
@@ -20,6 +22,7 @@ from crms_fenicsx.foundation.surface.points import (
     EdgePoint,
     SurfacePoint,
     VertexPoint,
+    edge_of,
 )
 from crms_fenicsx.model.tolerances import SAME_POINT
 
@@ -32,11 +35,27 @@ LEAST_AREA = 0.3
 """Fraction of a cell's area that must remain."""
 
 
+@dataclass(frozen=True)
+class Origin:
+    """The mesh of which pieces were cut, and where its cells and edges are in the cut surface; its
+    vertices keep their numbers."""
+
+    mesh: MembraneMesh
+    surface: PatternSurface
+    parents: Integers  # (m,) the cell of the mesh from which each cell was cut
+    cuts: Mapping[Edge, tuple[int, ...]]  # new vertices inside its edges, in order
+
+    def chain(self, a: int, b: int) -> list[int]:
+        """The vertices along one of its edges, from a to b."""
+        inner = self.cuts.get(edge_of(a, b), ())
+        return [a, *(inner if a < b else inner[::-1]), b]
+
+
 def cut_along(
-    surface: PatternSurface, seams: Sequence[Seam]
-) -> tuple[CheckedSurface, dict[str, Integers]]:
-    """The surface with all groups whose cells are divided where seams cross them, and the vertices
-    (k,) along each seam by name; existing vertices keep their numbers."""
+    surface: PatternSurface, mesh: MembraneMesh, seams: Sequence[Seam]
+) -> tuple[CheckedSurface, dict[str, Integers], Origin]:
+    """The surface of a mesh with all groups whose cells are divided where seams cross them, the
+    vertices (k,) along each seam by name, and what was cut."""
     _check_ends(surface, seams)
     points, lines = _snapped(surface, seams)
     nodes = CutNodes(surface.points, points, SAME_POINT)
@@ -51,7 +70,9 @@ def cut_along(
         for name, line in ordered.items()
         if name not in edges
     }
-    return surface.divided(new, cells, parents, edges), ordered
+    cuts = {edge: tuple(node for _, node in on) for edge, on in nodes.on.items()}
+    origin = Origin(mesh, surface, parents, cuts)
+    return surface.divided(new, cells, parents, edges), ordered, origin
 
 
 def _check_ends(surface: PatternSurface, seams: Sequence[Seam]) -> None:

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 from mpi4py import MPI
 
-from crms_fenicsx.design.patterns.cutting import cut_along
+from crms_fenicsx.design.patterns.cutting import Origin, cut_along
 from crms_fenicsx.design.patterns.pattern_surface import PatternSurface
 from crms_fenicsx.design.patterns.seams import Seam
 from crms_fenicsx.foundation.meshes.edge_table import EdgeTable, edges_of
@@ -130,6 +130,8 @@ class Pieces:
         The cut surface with all groups, on all ranks.
     lines
         Vertices (k,) of the cut surface along each seam, by names.
+    origin
+        The mesh that was cut.
     """
 
     mesh: MembraneMesh
@@ -138,6 +140,7 @@ class Pieces:
     joints: Joints
     surface: CheckedSurface
     lines: Mapping[str, Integers]
+    origin: Origin
 
     def __repr__(self) -> str:
         """One line; not collective."""
@@ -208,13 +211,13 @@ def cut(mesh: MembraneMesh, seams: Sequence[Seam]) -> Pieces:
     if twice:
         raise InputError(f"cut: two seams have the name {twice[0]!r}.")
     with raised_together(mesh.comm):
-        whole, lines = cut_along(surface, seams)
+        whole, lines, origin = cut_along(surface, mesh, seams)
         pieces, joints = _pieces(whole, lines)
     parts = whole.parts | {piece.name: piece.cells for piece in pieces}
     named = replace(whole, parts=parts)
     first = named if mesh.comm.rank == 0 else EMPTY
     return Pieces(
-        distribute(mesh.comm, first, None, None), tuple(seams), pieces, joints, named, lines
+        distribute(mesh.comm, first, None, None), tuple(seams), pieces, joints, named, lines, origin
     )
 
 

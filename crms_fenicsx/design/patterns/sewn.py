@@ -11,6 +11,7 @@ import numpy as np
 
 from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.design.patterns.flattening import gradients
+from crms_fenicsx.design.patterns.kept import keep, kept_options
 from crms_fenicsx.design.patterns.pattern import Materials, Pattern
 from crms_fenicsx.foundation.meshes.membrane_mesh import cell_vertex_ids
 from crms_fenicsx.foundation.runtime import checks
@@ -24,12 +25,17 @@ from crms_fenicsx.solver import Solver
 
 
 @collective
-def sew(pattern: Pattern, material: Materials | None = None, **options: Any) -> Scene:
+def sew(
+    pattern: Pattern,
+    material: Materials | None = None,
+    *,
+    scene: Scene | None = None,
+    **options: Any,
+) -> Scene:
     """Make a scene of the pieces of a pattern, sewn along the seams. Collective.
 
     Cells are stress-free in the flat pieces. The scene starts in the form, with the strains due to
-    the cut, without supports, loads and cables. Its mesh has the form's groups, the seams as groups
-    of edges and the pieces as parts.
+    the cut. Its mesh has the form's groups, the seams as groups of edges and the pieces as parts.
 
     Parameters
     ----------
@@ -38,20 +44,29 @@ def sew(pattern: Pattern, material: Materials | None = None, **options: Any) -> 
     material
         The fabric, or one for each part; by default the pattern's. Its warp and prestress are
         ignored, as the pieces set the warp and the cut the prestress.
+    scene
+        A scene of the form whose membrane the pieces replace, and of which the sewn one keeps all
+        else: supports; bars and cables with their unstressed lengths, joints, anchors and clamps;
+        loads and pressure with their factors, ponds and floor; strengths and limits. Lengths of
+        cables follow the vertices that the cut moves along them, by some .01 %. Seams are groups of
+        edges along which more cables and belts can be laid. Without it the sewn scene has the
+        membrane only.
     **options
-        Options of `Scene`.
+        Options of `Scene`; by default those of `scene`.
 
     Raises
     ------
     InputError
-        On all ranks: no pattern, step-wise strain, or a `UflMembrane` with a prestress in its
-        density.
+        On all ranks: no pattern, step-wise strain, a `UflMembrane` with a prestress in its
+        density, or a scene of another mesh or with something that the sewn one cannot keep: cables
+        across cells or that slide with lines of the mesh, supports that have moved, terms of your
+        own, or a bar whose end the cut has moved.
 
     Examples
     --------
-    >>> scene = patterns.sew(pattern)
-    >>> scene.fix("boundary")
-    >>> Solver(scene).advance(pressure=0.3)
+    >>> roof = found.scene(fabric)
+    >>> sewn = patterns.sew(pattern, scene=roof)
+    >>> step = Solver(sewn).advance()
     """
     given = pattern.material if material is None else material
     for one in given.values() if isinstance(given, Mapping) else [given]:
@@ -65,7 +80,12 @@ def sew(pattern: Pattern, material: Materials | None = None, **options: Any) -> 
     fabric: Any = _relaxed(given)
     if isinstance(given, Mapping):
         fabric = {part: _relaxed(one) for part, one in given.items()}
-    return Scene(pattern.pieces.mesh, fabric, frames=frames_of(pattern), **options)
+    if scene is not None:
+        options = kept_options(scene, pattern.pieces) | options
+    sewn = Scene(pattern.pieces.mesh, fabric, frames=frames_of(pattern), **options)
+    if scene is not None:
+        keep(scene, sewn, pattern.pieces)
+    return sewn
 
 
 def _relaxed(material: object) -> object:

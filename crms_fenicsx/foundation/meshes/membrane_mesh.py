@@ -433,11 +433,11 @@ def cells_of(mesh: MembraneMesh, parts: Iterable[str]) -> Booleans:
 
 
 def outer_first(mesh: MembraneMesh, call: str, what: str, names: Iterable[object]) -> list[str]:
-    """Order parts so that nested ones follow the enclosing ones. Collective on first access."""
-    given = sorted(names, key=repr)
+    """Order parts as counted, nested ones after those around them. Collective on first access."""
+    given = sorted(names, key=lambda name: checks.as_counted(repr(name)))
     for part in given:
         if part not in mesh.parts:
-            known = ", ".join(sorted(mesh.parts)) or "(none)"
+            known = ", ".join(sorted(mesh.parts, key=checks.as_counted)) or "(none)"
             raise InputError(f"{call}: the mesh has no part {part!r}; it has the parts {known}.")
     around = dict.fromkeys(map(str, given), 0)
     for (one, other), inner in mesh.overlaps.items():

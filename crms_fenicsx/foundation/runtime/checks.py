@@ -278,3 +278,8 @@ def counted(n: int, what: str) -> str:
     '2 cells'
     """
     return f"{n} {what}{'' if n == 1 else 's'}"
+
+
+def as_counted(name: str) -> list[tuple[str, int]]:
+    """Key that sorts names as people count: "1", "2", "10"."""
+    return [(text, int(digits or -1)) for text, digits in re.findall(r"(\D*)(\d*)", name)]

@@ -19,6 +19,7 @@ from report_page import Page, read_csv
 from walled_roof import roof_mesh
 
 from crms_fenicsx import Cable, InputError, OrthotropicMembrane, Solver, __version__
+from crms_fenicsx.foundation.runtime.checks import as_counted
 from crms_fenicsx.results.cable_order import CableOrder, Order
 from crms_fenicsx.results.output.report import pictures as pictures_of_reports
 from crms_fenicsx.results.output.report import sections
@@ -38,7 +39,6 @@ from crms_fenicsx.results.output.report.page import (
     place,
 )
 from crms_fenicsx.results.output.report.pictures import pictured
-from crms_fenicsx.results.quantities import as_counted
 
 FABRIC = OrthotropicMembrane(800.0, 500.0, 60.0, nu21=0.1, thickness=1.0, warp=(0.0, 1.0, 0.0))
 TABLE = {"snow <&> ice": {"snow": 1.0}, "storm": {"wind": 1.0, "pressure": 0.5}}

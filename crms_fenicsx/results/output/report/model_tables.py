@@ -307,7 +307,7 @@ def _theory(scene: Scene) -> dict[str, str]:
     if comm.allreduce(int(np.count_nonzero(~pressed))):
         free = {k: comm.allreduce(int(np.count_nonzero(~pressed[cells])))
                 for k, cells in scene.mesh.parts.items()}  # fmt: skip
-        where = ", ".join(sorted(name for name, count in free.items() if count == 0))
+        where = ", ".join(name for name, count in free.items() if count == 0)
     else:
         where = "all of the membrane"
     found = {PRESSED: where}
