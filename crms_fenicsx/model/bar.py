@@ -12,6 +12,7 @@ from crms_fenicsx.foundation.runtime.arguments import Positive, checked
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans
 from crms_fenicsx.foundation.runtime.errors import InputError
 from crms_fenicsx.foundation.runtime.handle import Handle, ReadOnly
+from crms_fenicsx.model.temperature import check_expansion
 
 SHORTEST = 1e-12
 """Length of a bar, relative to its unstressed length, below which its direction is undefined."""
@@ -51,6 +52,9 @@ class Bar:
     buckling_length
         Buckling length (length); None: the distance of its ends. `codes.steel_bar` makes bars of
         steel sections.
+    expansion
+        Coefficient of thermal expansion alpha (per kelvin), 1.2e-5 of steel, needed by temperature
+        loads (`Scene.put_temperature`); None: unknown.
 
     Examples
     --------
@@ -66,8 +70,10 @@ class Bar:
     curve: Literal["a0", "a", "b", "c", "d"] | float | None = None
     gamma_M: Positive = 1.0
     buckling_length: Positive | None = None
+    expansion: float | None = None
 
     def __post_init__(self) -> None:
+        check_expansion("Bar", self.expansion)
         if not isinstance(self.tension_only, bool | np.bool_):
             raise InputError(
                 f"Bar: tension_only = {self.tension_only!r} must be True (a guy) or False."
@@ -182,7 +188,7 @@ class PlacedBar(Handle[BarState]):
     start, end
         The joints or vertices at its ends.
     L0
-        Unstressed length (length).
+        Unstressed length at the present temperature (length).
     points : (2, 3)
         Current positions of its ends (length).
     """

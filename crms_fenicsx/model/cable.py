@@ -12,6 +12,7 @@ from crms_fenicsx.foundation.runtime.checks import counted, span
 from crms_fenicsx.foundation.runtime.errors import InputError
 from crms_fenicsx.foundation.surface.points import Support
 from crms_fenicsx.model.friction import Friction
+from crms_fenicsx.model.temperature import check_expansion
 
 
 @checked
@@ -30,6 +31,9 @@ class Cable:
     friction
         Friction on the membrane: a coefficient, or a `Friction` with more data. The default 0 costs
         nothing.
+    expansion
+        Coefficient of thermal expansion alpha (per kelvin), 1.2e-5 of steel, needed by temperature
+        loads (`Scene.put_temperature`); None: unknown.
 
     Examples
     --------
@@ -42,8 +46,10 @@ class Cable:
     EA: Positive
     law: Literal["total", "step"] = "total"
     friction: float | Friction = 0.0
+    expansion: float | None = None
 
     def __post_init__(self) -> None:
+        check_expansion("Cable", self.expansion)
         if not isinstance(self.friction, Friction):
             Friction(checks.finite("Cable: friction", self.friction))
         if self.law == "step" and self.along:

@@ -48,7 +48,11 @@ def checked_materials(
         found = dict.fromkeys(membrane.materials, material)
     for k, new in found.items():
         _check_alike(membrane.owner_of_material(k), membrane.materials[k], new)
-    return found
+    return {
+        k: new if new.dT == membrane.materials[k].dT
+        else with_numbers(new, numbers(new) | {"dT": membrane.materials[k].dT})
+        for k, new in found.items()
+    }  # fmt: skip
 
 
 def _check_alike(owner: str, old: MembraneMaterial, new: MembraneMaterial) -> None:

@@ -62,7 +62,7 @@ class LaidCable(Handle[CableState]):
     cable
         Its stiffness, law and friction.
     L0
-        Unstressed length (length).
+        Unstressed length at the present temperature (length).
     reference_positions : (n, 3)
         Positions of its points on the stress-free membrane: the cable's material curve (length).
         NaN where the cable is off the membrane.

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,7 @@ from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arguments import Finite, Positive, checked
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.foundation.runtime.errors import InputError
+from crms_fenicsx.model.temperature import check_expansion
 from crms_fenicsx.model.tolerances import UNSTRAINED
 
 Direction = tuple[float, float, float] | Callable[[Array], Array]
@@ -40,6 +41,9 @@ class MembraneMaterial(ABC):
     """A membrane material. Its axes 1 (warp) and 2 (weft) lie in the surface."""
 
     prestress: float | tuple[float, float]
+    # coefficients of thermal expansion (per kelvin); None: unknown
+    expansion: float | tuple[float, float] | None = None
+    dT: float = 0.0  # temperature change of the present state, set by load steps (kelvin)
 
     @property
     @abstractmethod
@@ -68,9 +72,18 @@ class MembraneMaterial(ABC):
 
     @property
     def prestress_vector(self) -> Array:
-        """Section forces (S11, S22, S12) at zero strain, (3,), force per length."""
+        """Section forces (S11, S22, S12) at zero strain, (3,), force per length: the prestress,
+        less what a restrained change of temperature takes away."""
         s = np.broadcast_to(np.asarray(self.prestress, dtype=float), (2,))
-        return np.array([s[0], s[1], 0.0])
+        given = np.array([s[0], s[1], 0.0])
+        return given if self.dT == 0.0 else given - self.stiffness @ self.thermal_strain
+
+    @property
+    def thermal_strain(self) -> Array:
+        """Green-Lagrange strain (E11, E22, 2 E12) of the free material, (3,): its lengths grow by
+        the factor ``1 + expansion dT``."""
+        by = np.broadcast_to(0.0 if self.expansion is None else self.expansion, (2,)) * self.dT
+        return np.array([*(by + by**2 / 2), 0.0])
 
     @property
     def parameters(self) -> Array:
@@ -117,6 +130,11 @@ class IsotropicMembrane(MembraneMaterial):
         True: tension-field theory: the relaxed energy, without compression, for wrinkles finer than
         the mesh. False: the membrane resists compression, and compressed regions have no unique
         equilibrium.
+    expansion
+        Coefficient of thermal expansion alpha (per kelvin), needed by temperature loads
+        (`Scene.put_temperature`); None: unknown.
+    dT
+        Temperature change of the present state (kelvin), set by load steps.
 
     Examples
     --------
@@ -132,13 +150,16 @@ class IsotropicMembrane(MembraneMaterial):
     thickness: Positive
     prestress: float | tuple[float, float] = 0.0
     wrinkling: bool = True
+    expansion: float | None = None
+    dT: float = field(default=0.0, repr=False)
 
     def __post_init__(self) -> None:
         owner = type(self).__name__
         if not -1.0 < self.nu < 1.0:
             raise InputError(f"{owner}: nu = {self.nu} lies outside -1 < nu < 1 (plane stress).")
         self._check_prestress()
-        s = self.prestress_vector
+        check_expansion(owner, self.expansion)
+        s = np.broadcast_to(self.prestress, (2,))
         if s[0] != s[1]:
             raise InputError(
                 f"{owner}: prestress = {self.prestress} has a direction, but an isotropic material "
@@ -191,6 +212,11 @@ class OrthotropicMembrane(MembraneMaterial):
         True: tension-field theory: the relaxed energy, without compression, for wrinkles finer than
         the mesh. False: the membrane resists compression, and compressed regions have no unique
         equilibrium.
+    expansion
+        Coefficients of thermal expansion alpha (per kelvin), one or (warp, weft), needed by
+        temperature loads (`Scene.put_temperature`); None: unknown.
+    dT
+        Temperature change of the present state (kelvin), set by load steps.
 
     Examples
     --------
@@ -209,6 +235,8 @@ class OrthotropicMembrane(MembraneMaterial):
     warp: Direction = (1.0, 0.0, 0.0)
     prestress: float | tuple[float, float] = 0.0
     wrinkling: bool = True
+    expansion: float | tuple[float, float] | None = None
+    dT: float = field(default=0.0, repr=False)
 
     def __post_init__(self) -> None:
         owner = type(self).__name__
@@ -218,6 +246,7 @@ class OrthotropicMembrane(MembraneMaterial):
                 "stiffness indefinite; nu21**2 must be smaller than E2/E1 (is it nu12?)."
             )
         check_warp(owner, self.warp)
+        check_expansion(owner, self.expansion, pair=True)
         self._check_prestress()
 
     @property

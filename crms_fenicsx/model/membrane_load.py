@@ -61,6 +61,8 @@ class MembraneLoad:
     # as put if they have moved since
     placed: Annotated[Array, Rows.VERTICES, 3] | None = field(default=None, repr=False)
     put: MembraneLoad | None = field(default=None, repr=False)
+    # temperature changes (kelvin) by name; see `model.temperature`
+    warms: Mapping[str, float] = field(default_factory=dict)
     basis: str = ""  # what its function says of itself: a dataclass its fields, others their text
 
     @property

@@ -16,9 +16,7 @@ from crms_fenicsx.foundation.runtime.arrays import floats
 from crms_fenicsx.foundation.runtime.errors import InputError, raised_together
 from crms_fenicsx.foundation.runtime.files import absolute, replaced
 from crms_fenicsx.model.laid_cable import LaidCable
-
-STEEL = 1.2e-5
-"""Coefficient of thermal expansion of steel (per kelvin)."""
+from crms_fenicsx.model.temperature import MOST_CHANGE, STEEL, check_expansion, growth
 
 
 @dataclass(frozen=True)
@@ -67,7 +65,7 @@ class Order:
     temperature
         Measuring temperature minus the model's (kelvin).
     expansion
-        Coefficient of thermal expansion (per kelvin).
+        Coefficient of thermal expansion (per kelvin), as given; None: that of each cable.
     allowance
         Allowances at the start and at the end of each cable (length).
     comm
@@ -76,7 +74,7 @@ class Order:
 
     cables: Mapping[str, CableOrder]
     temperature: float
-    expansion: float
+    expansion: float | None
     allowance: tuple[float, float]
     comm: MPI.Intracomm
 
@@ -126,7 +124,7 @@ def lengths_to_order(
     *,
     tension: float | Mapping[str, float] = 0.0,
     temperature: Finite = 0.0,
-    expansion: Finite = STEEL,
+    expansion: Finite | None = None,
     allowance: float | tuple[float, float] = 0.0,
 ) -> Order:
     """Fabrication lengths and clamp marks of a scene's cables. Collective.
@@ -140,7 +138,8 @@ def lengths_to_order(
     temperature
         Measuring temperature minus the model's (kelvin).
     expansion
-        Coefficient of thermal expansion, by default that of steel (per kelvin).
+        Coefficient of thermal expansion of cables without one (per kelvin), by default that of
+        steel, 1.2e-5.
     allowance
         Allowance at each end, or at the start and at the end (length).
 
@@ -153,7 +152,8 @@ def lengths_to_order(
     ------
     InputError
         On all ranks: a scene without cables, an invalid number, a tension below 0 or above 0.1 EA,
-        a difference of more than 200 K, an expansion of more than 0.001 per kelvin.
+        a difference of more than 200 K, an expansion of more than 0.001 per kelvin, or one beside
+        other ones of the cables.
 
     Examples
     --------
@@ -173,17 +173,22 @@ def lengths_to_order(
     if len(both) != 2:
         raise InputError(f"{call}: allowance = {allowance!r}; pass one, or (start, end).")
     ends = [checks.finite(f"{call}: allowance", one) for one in both]
-    warm = 1 + expansion * temperature
     _refuse_impossible(call, scene, forces, temperature, expansion)
     found = {
-        cable.name: _order(scene, cable, forces.get(cable.name, 0.0), warm, sum(ends))
+        cable.name: _order(
+            scene, cable, forces.get(cable.name, 0.0), temperature, expansion, sum(ends)
+        )
         for cable in scene.cables
     }
     return Order(found, temperature, expansion, (ends[0], ends[1]), scene.comm)
 
 
 def _refuse_impossible(
-    call: str, scene: Scene, forces: Mapping[str, float], temperature: float, expansion: float
+    call: str,
+    scene: Scene,
+    forces: Mapping[str, float],
+    temperature: float,
+    expansion: float | None,
 ) -> None:
     """Refuse tensions and temperatures at which no cable is measured: they are in another unit, or
     absolute."""
@@ -194,28 +199,37 @@ def _refuse_impossible(
                 f"{call}: tension of {name!r} = {force!r}, a strain of {force / EA:.3g} with its "
                 f"EA = {EA:.6g}; pass its tension when it is measured, from 0 to 0.1 EA."
             )
-    if abs(temperature) > 200.0:
+    if abs(temperature) > MOST_CHANGE:
         raise InputError(
             f"{call}: temperature = {temperature!r}; pass the difference to the model's "
-            f"temperature in kelvin, from -200 to 200."
+            f"temperature in kelvin, from -{MOST_CHANGE:g} to {MOST_CHANGE:g}."
         )
-    if abs(expansion) > 1e-3:
-        raise InputError(
-            f"{call}: expansion = {expansion!r}; use a number per kelvin, at most 0.001: that "
-            f"of steel is {STEEL:g}."
-        )
+    check_expansion(call, expansion)
+    for cable in scene.cables:
+        if expansion is not None and cable.cable.expansion not in (None, expansion):
+            raise InputError(
+                f"{call}: expansion = {expansion:g}, but {cable.name!r} has expansion = "
+                f"{cable.cable.expansion:g} of its own; leave one out."
+            )
 
 
-def _order(scene: Scene, cable: LaidCable, tension: float, warm: float, more: float) -> CableOrder:
+def _order(
+    scene: Scene, cable: LaidCable, tension: float, temperature: float, expansion: float | None,
+    more: float,
+) -> CableOrder:  # fmt: skip
     """Fabrication lengths of one cable."""
-    own = sorted(
+    own = cable.cable.expansion
+    L0 = cable.L0 / growth(own, scene.loads.warming(cable))
+    steel = STEEL if expansion is None else expansion
+    warm = growth(steel if own is None else own, temperature)
+    clamps = sorted(
         (clamp.at[clamp.cables.index(cable.name)], clamp.name)
         for clamp in scene.clamps
         if cable.name in clamp.cables
     )
-    length = cable.L0 * (1 + tension / cable.cable.EA) * warm
-    spacings = length * np.diff([0.0, *(at for at, _ in own), 1.0])
+    length = L0 * (1 + tension / cable.cable.EA) * warm
+    spacings = length * np.diff([0.0, *(at for at, _ in clamps), 1.0])
     return CableOrder(
-        cable.name, cable.cable.EA, cable.L0, tension, length, tuple(name for _, name in own),
+        cable.name, cable.cable.EA, L0, tension, length, tuple(name for _, name in clamps),
         tuple(floats(spacings)), length + more,
     )  # fmt: skip

@@ -137,7 +137,7 @@ def _resultants(system: System) -> dict[str, Force]:
     """Resultants of all actions on membrane and joints except the supports'. Collective."""
     scene, found = system.scene, dict[str, Array]()
     for load in scene.loads:
-        if load.factor != 0.0:
+        if load.factor != 0.0 and not load.warms:
             own = load.forces.sum(axis=0)
             joints = np.sum([(0.0, 0.0, 0.0), *load.joints.values()], axis=0)
             found[load.name] = load.factor * (scene.comm.allreduce(own) + joints)

@@ -288,6 +288,10 @@ def _parameter(scene: Scene, one: object) -> Setter:
         return (lambda change: scene.air.update(pressure=scene.pressure + change)), max(
             STEP, STEP * abs(scene.pressure)
         )
+    if isinstance(one, str) and any(load.name == one and load.warms for load in scene.loads):
+        raise InputError(
+            f"sensitivities: by has {one!r}, a temperature change; compare load steps instead."
+        )
     if isinstance(one, str) and one in [load.name for load in scene.loads]:
 
         def change_load(change: float) -> None:

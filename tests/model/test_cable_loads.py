@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 from cabled_square import sheet
 from mpi4py import MPI
 
-from crms_fenicsx import Bar, Cable, InputError, IsotropicMembrane, Solver
+from crms_fenicsx import Bar, Cable, InputError, IsotropicMembrane, Solver, codes
 
 FOIL = IsotropicMembrane(E=300.0, nu=0.3, thickness=1.0, prestress=3.0)
 
@@ -34,6 +37,33 @@ def test_the_weight_of_cables_reaches_supports(comm: MPI.Intracomm) -> None:
     found = solver.summary()
     assert found.reaction[2] - before == pytest.approx(0.05 * lengths, rel=1e-6)
     assert found.lowest.value < -0.01
+
+
+@pytest.mark.ranks
+def test_combinations_scale_them(comm: MPI.Intracomm, folder: Path) -> None:
+    """By hand: 1.35 times the weight of all cables in the reactions and the balance; the report's
+    table has the sum on fabric and joints."""
+    scene = sheet(comm, 6, material=FOIL, side=6.0)
+    scene.lay_cable(Cable(EA=1e3), [(1.2, 2.6), (4.8, 2.6)], tension=1.0, name="inner")
+    top = scene.add_joint((3.0, 9.0, 0.5), held="xyz")
+    scene.lay_cable(Cable(EA=1e3), [(3.3, 3.2, 0.0), top], tension=1.0, name="guy")
+    scene.put_load((0.0, 0.0, -0.01), name="weight", per="material")
+    solver = Solver(scene)
+    solver.advance()
+    scene.put_cable_load((0.0, 0.0, -0.05), scene.cables, name="cable weight")
+    weight = 0.05 * sum(cable.length for cable in scene.cables)
+    table = codes.combinations(codes.en1990, ["weight", "cable weight"], [], state="ULS")
+    found = solver.combine(table)
+    for name, factor in (("ULS: 1.35 weight + 1.35 cable weight", 1.35),
+                         ("ULS: 1 weight + 1 cable weight", 1.0)):  # fmt: skip
+        solver.restore(found[name].snapshot)
+        summary = solver.summary()
+        assert summary.reaction[2] == pytest.approx(factor * (weight + 0.36), rel=1e-6)
+    solver.report(folder / "r.html", found, pictures=[])
+    if comm.rank == 0:
+        page = re.sub(r"<[^>]+>", " ", (folder / "r.html").read_text())
+        row = re.search(r"cable weight +fixed direction, also on joints +\S+ +0 +0 +(\S+)", page)
+        assert row and float(row[1].replace("\u2212", "-")) == pytest.approx(-weight, rel=1e-3)
 
 
 @pytest.mark.ranks

@@ -246,6 +246,15 @@ def scenes(scene: Scene, other: Scene, solver: Solver, cable: LaidCable) -> list
             },
         ),
         Call(
+            "put_temperature",
+            scene.put_temperature,
+            {"change": 30.0},
+            {
+                "change": (*NO_NUMBERS, None, 293.0, {"unknown": 1.0}, {"cables": NAN}),
+                "name": ("", 3, "temperature"), "unknown": (1,),
+            },
+        ),
+        Call(
             "put_line_load",
             scene.put_line_load,
             {"force": UP, "edges": "left"},

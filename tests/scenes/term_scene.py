@@ -32,9 +32,14 @@ TENSED = IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08, prestress=0.7)
 TENSED_FABRIC = OrthotropicMembrane(
     1394.0, 140.0, 12.0, 0.065, 1.0, warp=(1.0, 0.4, 0.3), prestress=(2.0, 1.0)
 )
+WARM = replace(TENSED, expansion=1e-3, dT=60.0)
+"""Heated: wrinkled or slack where it is not stretched by 6 % more than its prestress."""
+WARM_FABRIC = replace(TENSED_FABRIC, expansion=(8e-4, -3e-4), dT=50.0)
 MATERIALS = {
     "relaxed": ISOTROPIC,
     "relaxed, prestressed": TENSED,
+    "relaxed, warm": WARM,
+    "orthotropic, warm": WARM_FABRIC,
     "raw": STIFF,
     "orthotropic": FABRIC,
     "orthotropic, prestressed": TENSED_FABRIC,

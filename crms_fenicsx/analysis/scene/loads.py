@@ -25,9 +25,8 @@ from crms_fenicsx.foundation.runtime.arguments import (
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.foundation.runtime.errors import InputError
 from crms_fenicsx.foundation.runtime.handle import ReadOnly, Stateful
-from crms_fenicsx.model.bar import Joint
+from crms_fenicsx.model.bar import Joint, PlacedBar
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.model.membrane_load import (
     Area,
     Coefficient,
@@ -42,7 +41,8 @@ from crms_fenicsx.model.membrane_load import (
     wind_load,
 )
 from crms_fenicsx.model.sealed_air import SealedAir
-from crms_fenicsx.model.strengths import SETTINGS
+from crms_fenicsx.model.strengths import ALL, SETTINGS
+from crms_fenicsx.model.temperature import change_of, checked_changes
 from crms_fenicsx.model.versions import Versions, changes_model
 
 
@@ -60,9 +60,9 @@ class Loads(Stateful[LoadsState]):
     ponds: ReadOnly[tuple[Pond, ...]] = ReadOnly("state.ponds", "call scene.put_pond(...)")
     """The ponds, with their current levels, volumes and factors."""
 
-    def __init__(self, membrane: Membrane, versions: Versions, frame: Frame) -> None:
-        self.membrane, self.comm, self.versions = membrane, membrane.comm, versions
-        self._frame = frame
+    def __init__(self, net: CableNet, versions: Versions, frame: Frame) -> None:
+        self.membrane, self.comm, self.versions = net.membrane, net.membrane.comm, versions
+        self._net, self._frame = net, frame
         self.state = LoadsState()
 
     def __iter__(self) -> Iterator[MembraneLoad]:
@@ -234,7 +234,8 @@ class Loads(Stateful[LoadsState]):
         It acts on the fabric where the cables lie at the time of the call, half of the length
         between two contacts at each, and on joints at their ends; the share of anchors goes into
         the ground and is not in their reactions. The forces keep their direction, size and place,
-        also where a cable slides on. A slack cable loads the fabric, too.
+        also where a cable slides on. A slack cable loads the fabric, too, and so does one that a
+        combination is "without".
 
         Parameters
         ----------
@@ -293,6 +294,67 @@ class Loads(Stateful[LoadsState]):
         intensity = float(norm(np.array([*found.values()])).sum()) / self.membrane.size**2
         nodal = np.zeros(self.membrane.held.shape)
         self.add(MembraneLoad(name, nodal, intensity, joints=found))
+
+    @collective
+    def put_temperature(
+        self, change: float | Mapping[str, float], *, name: Name = "temperature change"
+    ) -> None:
+        """Change the temperature of fabric, cables and bars; `Solver.advance` applies it by its
+        factor. Collective.
+
+        All need their `expansion`, 0.0 to leave one out. Free members grow by the factor ``1 +
+        expansion dT``, dT being the sum over temperature loads of factor times change. The
+        temperature of sealed air is another one, see `Solver.advance`.
+
+        Parameters
+        ----------
+        change
+            Difference to the temperature at which the model's lengths and forces hold (kelvin): one
+            number for all, or by name for "fabric", "cables", "bars", a part of the fabric with a
+            material of its own, a cable or a bar; own names take precedence. What has no name here
+            keeps its temperature.
+        name
+            Name in load steps and results. `codes.combinations` needs one that begins with
+            "temperature".
+
+        Raises
+        ------
+        InputError
+            On all ranks: an unknown name, a change that is not finite or of more than 200 K, or a
+            name that is taken. The load step refuses members without `expansion`, a `UflMembrane`,
+            and step-wise laws.
+
+        Notes
+        -----
+        `LaidCable.L0` and `PlacedBar.L0` are those at the present temperature. ``advance(L0=...)``
+        takes lengths at the temperature before the call, whose temperature loads change them.
+
+        Examples
+        --------
+        >>> strand = Cable(EA=1e3, expansion=1.2e-5)
+        >>> stay = scene.lay_cable(strand, [(0.0, 1.0), (4.0, 3.0)], tension=4.0, name="stay")
+        >>> scene.put_temperature({"stay": -30.0}, name="temperature winter")
+        >>> step = solver.advance(load={"temperature winter": 1.5})
+        """
+        self._check_new("put_temperature", name)
+        parts = tuple(self.membrane.parts.values())
+        bars = tuple(bar.name for bar in self._frame.bars)
+        cables = tuple(cable.name for cable in self._net.cables)
+        changes = checked_changes(change, {"fabric": parts, "cables": cables, "bars": bars})
+        self.add(MembraneLoad(name, np.zeros(self.membrane.held.shape), 0.0, warms=changes))
+
+    def warming(self, one: LaidCable | PlacedBar | int) -> float:
+        """Present temperature change (kelvin) of a cable, a bar or a material, by its number."""
+        return sum(load.factor * change for load, change in self.warmings(one))
+
+    def warmings(self, one: LaidCable | PlacedBar | int) -> list[tuple[MembraneLoad, float]]:
+        """Loads that change the temperature of such a member, with its changes (kelvin)."""
+        if isinstance(one, int):
+            kind, own = "fabric", str(self.membrane.parts.get(one, ALL))
+        else:
+            kind, own = "cables" if isinstance(one, LaidCable) else "bars", one.name
+        found = [(load, change_of(load.warms, kind, own)) for load in self if load.warms]
+        return [(load, change) for load, change in found if change]
 
     @collective
     def put_pond(
@@ -370,7 +432,7 @@ class Loads(Stateful[LoadsState]):
         Raises
         ------
         InputError
-            On all ranks: an unknown load.
+            On all ranks: an unknown load, or a temperature change that acts.
 
         Examples
         --------
@@ -380,6 +442,11 @@ class Loads(Stateful[LoadsState]):
         {}
         """
         factor = checks.named("load", self.factors, name)
+        if factor != 0.0 and any(load.name == name and load.warms for load in self):
+            raise InputError(
+                f"remove_load: {name!r} acts by the factor {factor:g} on lengths and forces; call "
+                f"solver.advance(load={{{name!r}: 0.0}}) before."
+            )
         self.state = LoadsState(
             tuple(load for load in self if load.name != name),
             tuple(pond for pond in self.ponds if pond.name != name),
@@ -401,7 +468,7 @@ class Loads(Stateful[LoadsState]):
         if name in SETTINGS:
             raise InputError(
                 f"{call}: name = {name!r} means another thing in combinations; use another name, "
-                "such as 'snow'."
+                f"such as {'temperature summer' if call == 'put_temperature' else 'snow'!r}."
             )
         if name in self.factors:
             raise InputError(

@@ -191,6 +191,7 @@ class Scene:
     put_line_load = of_part("loads", Loads.put_line_load)
     put_cable_load = of_part("loads", Loads.put_cable_load)
     put_joint_load = of_part("loads", Loads.put_joint_load)
+    put_temperature = of_part("loads", Loads.put_temperature)
     put_pond = of_part("loads", Loads.put_pond)
     load = of_part("loads", Loads.load)
     remove_load = of_part("loads", Loads.remove_load)
@@ -228,7 +229,7 @@ class Scene:
         """Version numbers of model and state, and the state in equilibrium."""
         self.net = CableNet(self.membrane)
         self._frame = Frame(self.membrane, self.versions)
-        self._loads = Loads(self.membrane, self.versions, self.frame)
+        self._loads = Loads(self.net, self.versions, self.frame)
         self._air = Air(self.net, self.versions, pressure)
         self._design = Design(self.membrane, self.frame)
         self._floor_level: float | None = None

@@ -7,6 +7,8 @@ from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
+import numpy as np
+
 from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.analysis.scene.state import LoadCase, SceneState
 from crms_fenicsx.analysis.steps.loading import checked_target
@@ -201,7 +203,7 @@ def prepare(scene: Scene, given: Given) -> dict[object, float]:
         return {}
     materials = scene.membrane.materials
     for number, one in materials.items():
-        scaled = factor * one.prestress_vector[:2]
+        scaled = factor * np.broadcast_to(one.prestress, (2,))
         materials[number] = with_numbers(one, numbers(one) | {"prestress": floats(scaled)})
     terms = [
         ResidualStress(one.u, factor * one.section_forces)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from types import MappingProxyType
-from typing import TypeVar
+from typing import NoReturn, TypeVar
 
 import numpy as np
 from dolfinx.fem import locate_dofs_topological
@@ -19,7 +19,10 @@ from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arrays import EPSILON
 from crms_fenicsx.foundation.runtime.errors import InputError, as_text, raised_together
 from crms_fenicsx.model.bar import PlacedBar
+from crms_fenicsx.model.cable import Cable
+from crms_fenicsx.model.changed_materials import numbers, with_numbers
 from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.model.materials import UFL_LAW
 from crms_fenicsx.model.membrane_load import MembraneLoad, Pond
 from crms_fenicsx.model.sealed_air import FanControl, SealedAir
 
@@ -101,6 +104,25 @@ def _checked_pressure(
 
 
 @dataclass(frozen=True)
+class _Length:
+    """Unstressed length of a cable or bar over a call of `Solver.advance`."""
+
+    one: LaidCable | PlacedBar
+    first: float  # at the temperature before the call (length)
+    last: float  # the same at the end
+    warm: tuple[float, float] = (0.0, 0.0)  # thermal strains at start and end
+
+    def at(self, share: float) -> float:
+        """Length at a share of the step (length)."""
+        return (self.first + share * (self.last - self.first)) * self.growth(0.0, share)
+
+    def growth(self, before: float, share: float) -> float:
+        """Factor by which its temperature scales it between two shares of the step."""
+        strains = [between(*self.warm, one) for one in (before, share)]
+        return (1.0 + strains[1]) / (1.0 + strains[0])
+
+
+@dataclass(frozen=True)
 class Target:
     """Initial and target loads of a call of `Solver.advance`."""
 
@@ -108,8 +130,8 @@ class Target:
     # first and last factor of each changed load, by name
     factors: dict[str, tuple[float, float]]
     movements: Movements  # of supports and anchors
-    # cable or bar, its first and last unstressed length (length)
-    lengths: list[tuple[LaidCable | PlacedBar, float, float]]
+    lengths: list[_Length]  # of cables and bars
+    warm: tuple[int, ...]  # numbers of the materials whose temperature changes
 
     def is_first_load(self, scene: Scene) -> bool:
         """Whether the call applies the first loads or ponds."""
@@ -121,13 +143,19 @@ class Target:
         scene.loads.replace_each(partial(self._at, share))
         self.pressure.apply(scene, share)
         self.movements.apply(scene, first, before, share)
-        for one, start, end in self.lengths:
-            length = start + share * (end - start)
+        for given in self.lengths:
+            one, length = given.one, given.at(share)
             law = one.state.law if isinstance(one, LaidCable) else None
-            if law is not None and law.axial is not None and law.parts is not None:
-                # the parts between clamps scale alike
-                one.update(axial=replace(law.axial, rest=law.axial.rest * (length / one.L0)))
+            if law is not None and law.axial is not None:
+                # the parts between clamps scale alike, and what gets warmer does everywhere
+                alike = length / one.L0 if law.parts is not None else given.growth(before, share)
+                one.update(axial=replace(law.axial, rest=law.axial.rest * alike))
             one.update(L0=length)
+        for number in self.warm:
+            material, dT = scene.materials[number], scene.loads.warming(number)
+            scene.materials[number] = with_numbers(material, numbers(material) | {"dT": dT})
+        if self.warm:
+            scene.versions.change_model()
 
     def ponds(self, scene: Scene, share: float) -> tuple[Pond, ...]:
         """The scene's ponds at a share of the step."""
@@ -167,13 +195,23 @@ def checked_target(
     movements = checked_movements(scene, move, steps)
     if inner.acts:
         _check_rim(scene)
-    return Target(inner, factors, movements, _lengths(scene, L0))
+    lengths = _warmed(scene, factors, _lengths(scene, L0))
+    return Target(inner, factors, movements, lengths, _warmed_materials(scene, factors))
 
 
-def _lengths(
-    scene: Scene, L0: Mapping[object, float]
-) -> list[tuple[LaidCable | PlacedBar, float, float]]:
-    """First and last unstressed lengths of cables and bars."""
+def _changes(
+    scene: Scene, factors: Mapping[str, tuple[float, float]], one: LaidCable | PlacedBar | int
+) -> tuple[float, float]:
+    """First and last temperature change (kelvin) of a cable, a bar or a material."""
+    first, last = 0.0, 0.0
+    for load, change in scene.loads.warmings(one):
+        ends = factors.get(load.name, (load.factor, load.factor))
+        first, last = first + ends[0] * change, last + ends[1] * change
+    return first, last
+
+
+def _lengths(scene: Scene, L0: Mapping[object, float]) -> list[_Length]:
+    """Unstressed lengths of cables and bars that are given."""
     found = []
     for key, length in sorted(L0.items(), key=lambda item: repr(item[0])):  # same on all ranks
         if not isinstance(key, LaidCable | PlacedBar):
@@ -185,8 +223,59 @@ def _lengths(
             )
         length = checks.positive(f"advance: L0 of {key.name!r}", length)
         checks.own("advance", "cable or bar", key, (*scene.cables, *scene.bars))
-        found.append((key, key.L0, length))
+        found.append(_Length(key, key.L0, length))
     return found
+
+
+def _warmed(
+    scene: Scene, factors: Mapping[str, tuple[float, float]], given: list[_Length]
+) -> list[_Length]:
+    """Lengths that are given or change with the temperature, with their thermal strains."""
+    own = {length.one: length for length in given}
+    members: list[LaidCable | PlacedBar] = [*scene.cables, *scene.bars]
+    for one in members:
+        first, last = _changes(scene, factors, one)
+        if first == last:
+            continue
+        data, kind = (one.cable, "cable") if isinstance(one, LaidCable) else (one.bar, "bar")
+        if isinstance(data, Cable) and data.law == "step":
+            raise InputError(
+                f"advance: a temperature change of {one.name!r}, which has the step-wise law "
+                '(2.2-2) without an unstressed length; use Cable(law="total").'
+            )
+        if data.expansion is None:
+            _refuse_unknown(f"the {kind} {one.name!r}", one.name)
+        length = own.get(one, _Length(one, one.L0, one.L0))
+        own[one] = replace(length, warm=(data.expansion * first, data.expansion * last))
+    return [*own.values()]
+
+
+def _warmed_materials(scene: Scene, factors: Mapping[str, tuple[float, float]]) -> tuple[int, ...]:
+    """Numbers of the materials whose temperature changes."""
+    found = []
+    for number, material in scene.materials.items():
+        first, last = _changes(scene, factors, number)
+        if first == last:
+            continue
+        owner = scene.membrane.owner_of_material(number)
+        if material.law == UFL_LAW or scene.strain_law == "step":
+            why = "a UflMembrane" if material.law == UFL_LAW else 'strain="step"'
+            raise InputError(
+                f"advance: a temperature change of {owner} with {why}, which has no thermal "
+                'strain; leave the fabric out by scene.put_temperature({"cables": ...}), or use '
+                'an IsotropicMembrane or OrthotropicMembrane with strain="total".'
+            )
+        if material.expansion is None:
+            _refuse_unknown(owner, scene.membrane.parts.get(number, "fabric"))
+        found.append(number)
+    return tuple(found)
+
+
+def _refuse_unknown(owner: str, name: str) -> NoReturn:
+    raise InputError(
+        f"advance: a temperature change of {owner}, whose thermal expansion is unknown; pass "
+        f"its expansion=..., 0.0 if it does not count, or put_temperature({{{name!r}: 0.0, ...}})."
+    )
 
 
 def _factors(scene: Scene, load: float | Mapping[str, float]) -> dict[str, tuple[float, float]]:

@@ -11,6 +11,7 @@ from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arguments import Positive, checked
 from crms_fenicsx.foundation.runtime.errors import InputError
 from crms_fenicsx.model.bar import Bar
+from crms_fenicsx.model.temperature import STEEL
 
 SECTION = re.compile(r"(CHS|SHS|RHS) (\d+\.?\d*(?:x\d+\.?\d*)+)")
 SIZES = {"CHS": 2, "SHS": 2, "RHS": 3}
@@ -54,8 +55,9 @@ def steel_bar(
     Returns
     -------
     Bar
-        With EA, EI, strength A f_y / gamma_M, curve and gamma_M. The plastic resistance assumes
-        sections of the classes 1 to 3; holes and threads are not deducted.
+        With EA, EI, strength A f_y / gamma_M, curve, gamma_M and the expansion of 3.2.6. The
+        plastic resistance assumes sections of the classes 1 to 3; holes and threads are not
+        deducted.
 
     Raises
     ------
@@ -81,7 +83,7 @@ def steel_bar(
         )
     return Bar(
         EA=E * area, EI=E * inertia, strength=area * f_y / gamma_M, curve=curve, gamma_M=gamma_M,
-        buckling_length=buckling_length, tension_only=tension_only,
+        buckling_length=buckling_length, tension_only=tension_only, expansion=STEEL,
     )  # fmt: skip
 
 

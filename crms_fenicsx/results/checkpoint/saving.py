@@ -45,7 +45,7 @@ from crms_fenicsx.results.checkpoint.codec import Plain, decode, encode
 STATE = "state.json"
 POSITIONS = "positions"
 """File name of the stress-free vertices of the mesh as given."""
-FORMAT = "crms_fenicsx checkpoint 14"
+FORMAT = "crms_fenicsx checkpoint 15"
 """Format mark of a checkpoint; its number grows with each change of the content."""
 
 

@@ -13,6 +13,8 @@ from term_scene import (
     ISOTROPIC,
     STIFF,
     STIFF_FABRIC,
+    WARM,
+    WARM_FABRIC,
     cable_square,
     corners,
     irregular_square,
@@ -40,6 +42,8 @@ TENSED = IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08, prestress=0.7)
 MATERIALS = {
     "relaxed": ISOTROPIC,
     "relaxed, prestressed": TENSED,
+    "relaxed, warm": WARM,
+    "orthotropic, warm": WARM_FABRIC,
     "raw": STIFF,
     "orthotropic": STIFF_FABRIC,
     "orthotropic, relaxed": FABRIC,

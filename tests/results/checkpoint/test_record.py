@@ -202,6 +202,7 @@ CALLS: dict[str, tuple[Callable[..., Scene], dict[str, Any]]] = {
         {
             "E1": 301.0, "E2": 201.0, "G12": 21.0, "nu21": 0.11, "thickness": 0.11,
             "warp": turned(0.4), "prestress": (0.5, 1.0), "wrinkling": False,
+            "expansion": (1e-5, 2e-5), "dT": 1.0,
         },
     ),
     "UflMembrane": (
@@ -210,7 +211,7 @@ CALLS: dict[str, tuple[Callable[..., Scene], dict[str, Any]]] = {
     ),
     "Cable": (
         lambda **new: laid(Cable(**{"EA": 50.0} | new)),
-        {"EA": 51.0, "law": "step", "friction": 0.1},
+        {"EA": 51.0, "law": "step", "friction": 0.1, "expansion": 1e-5},
     ),
     "Friction": (
         lambda **new: laid(Cable(50.0, friction=Friction(**{"mu": 0.1} | new))),
@@ -225,7 +226,7 @@ CALLS: dict[str, tuple[Callable[..., Scene], dict[str, Any]]] = {
     ),
     "Bar": (mast, {
         "EA": 101.0, "tension_only": True, "EI": 5.0, "strength": 9.0, "gamma_M": 1.1,
-        "buckling_length": 3.0,
+        "buckling_length": 3.0, "expansion": 1e-5,
     }),
     "lay_cable": (laid, {
         "cable": Cable(51.0), "path": [(0, 3.3), (10, 4.3)], "L0": 9.9, "tension": 2.0,
@@ -279,6 +280,10 @@ CALLS: dict[str, tuple[Callable[..., Scene], dict[str, Any]]] = {
         {"force": (0, 0, 2.0), "edges": "right", "name": "parapet"},
     ),
     "put_cable_load": (roped, {"force": (0, 0, 2.0), "cables": "ab", "name": "ice"}),
+    "put_temperature": (
+        lambda **new: after(sheet(), "put_temperature", **{"change": 30.0} | new),
+        {"change": {"fabric": 20.0}, "name": "temperature winter"},
+    ),
     "put_joint_load": (joint_load, {"forces": 2.0, "name": "sign"}),
     "put_pond": (
         ponded, {"weight": 11.0, "level": -1.1, "volume": 0.5, "on": ["front"], "name": "lake"}

@@ -200,6 +200,8 @@ def _material(material: Any, units: Units, sewn: bool) -> str:
             found[f"{name} t"] = _text(float(value * thickness)) + units.plain("stress")
         elif name == "warp" and sewn:
             found[name] = "as the pieces are cut"
+        elif name == "dT" or value is None:  # of the state; unknown
+            continue
         elif name != "thickness" or value != 1.0:  # 1: moduli are given times the thickness
             kind = {"thickness": "length", "prestress": "stress"}.get(name)
             found[name] = _text(value) + (units.plain(kind) if kind else "")
@@ -277,11 +279,17 @@ def is_unnamed(joint: str) -> bool:
 def _loads(scene: Scene) -> list[Row]:
     rows: list[Row] = []
     for load in scene.loads:
+        if load.warms:
+            changes = [f"{name or 'all'} {dT:+g} K" for name, dT in load.warms.items()]
+            rows.append((load.name, f"temperature: {', '.join(changes)}", *4 * [None]))
+            continue
         total = scene.comm.allreduce(load.forces.sum(axis=0))
         kind = "fixed direction" if load.suction is None else "wind, follows the surface"
+        size: float | None = load.intensity
         if load.joints:
-            kind, total = "on joints", np.sum([*load.joints.values()], axis=0)
-        size = None if load.joints else load.intensity
+            fabric = scene.comm.allreduce(float(np.abs(load.forces).sum())) > 0.0
+            kind, size = (f"{kind}, also on joints", size) if fabric else ("on joints", None)
+            total = total + np.sum([*load.joints.values()], axis=0)
         rows.append((load.name, kind, size, *clean(total.tolist(), float(abs(total).max()), 1e-4)))
     for pond in scene.ponds:
         given = f"level z = {pond.level:g}" if pond.given == "level" else f"volume {pond.volume:g}"

@@ -237,10 +237,10 @@ def _held_points(scene: Scene) -> dict[str, Array]:
 def load_figures(solver: Solved, units: Units, look: Any) -> list[Figure]:
     """A picture of each load at factor 1, on the first rank. Collective."""
     scene, found = solver.system.scene, list[Figure]()
-    on_joints = {load.name for load in scene.loads if load.joints}
+    sizes = {x.name: scene.comm.allreduce(float(np.abs(x.forces).sum())) for x in scene.loads}
     peaks = {load.name: load.peak for load in scene.loads if load.suction is not None}
     for name in scene.loads.factors:
-        if name not in on_joints:
+        if sizes.get(name) != 0.0:  # not on joints alone, nor a temperature
             colour = f"{LOAD}{name}"
             png = draw_png(solver, dpi=SHARPEST, colour=colour, tensions=False, loose=None, **look)
             if png:
