@@ -49,8 +49,10 @@ class Bar:
         Partial factor by which the strength is divided: the slenderness takes their product for
         A f_y.
     buckling_length
-        Buckling length (length); None: the distance of its ends. `codes.steel_bar` makes bars of
-        steel sections.
+        Buckling length (length); None: the distance of its ends.
+    section
+        What it is made of, for reports. `codes.steel_bar` makes bars of steel sections, and names
+        section, area, second moment of area and yield strength.
 
     Examples
     --------
@@ -66,6 +68,7 @@ class Bar:
     curve: Literal["a0", "a", "b", "c", "d"] | float | None = None
     gamma_M: Positive = 1.0
     buckling_length: Positive | None = None
+    section: str = ""
 
     def __post_init__(self) -> None:
         if not isinstance(self.tension_only, bool | np.bool_):

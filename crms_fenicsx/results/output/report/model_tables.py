@@ -26,8 +26,15 @@ from crms_fenicsx.model.membrane import COMPONENTS
 from crms_fenicsx.model.strengths import ALL
 from crms_fenicsx.results.foundations import partition
 from crms_fenicsx.results.output.report.case import box
+from crms_fenicsx.results.output.report.design_tables import (
+    BARS,
+    CABLES,
+    bar_values,
+    cable_values,
+    limits_in_service,
+)
 from crms_fenicsx.results.output.report.page import Cell, Figure, Table, Units, number, shown
-from crms_fenicsx.results.output.report.results_tables import Row, clean, families, part_name
+from crms_fenicsx.results.output.report.results_tables import Row, clean, families
 from crms_fenicsx.results.reactions import held_groups, held_lengths
 
 
@@ -46,18 +53,21 @@ class Model:
     basis: Mapping[str, str] = field(default_factory=dict)  # what loads say of codes, by name
 
 
-def model_of_scene(scene: Scene, units: Units, cable_strengths: Mapping[str, float]) -> Model:
+def model_of_scene(scene: Scene, units: Units) -> Model:
     """Tables of a scene. Collective."""
     areas = scene.membrane.cell_areas
     low, high = box(scene.comm, scene.membrane.stress_free)
     extents = [b - a for a, b in zip(low, high, strict=True)]
-    strengths: list[Row] = [
-        (part_name(part), *one.strength) for part, one in scene.membrane.strengths.items()
-    ]
     listed: dict[str, tuple[str, str, list[Row]]] = {
         "mesh": ("Mesh and theory", "Property|Value", _mesh(scene, areas, extents, units)),
         "materials": ("Membrane", "Part|Area{area}|Material|Data", _materials(scene, areas, units)),
-        "strengths": ("Strengths", "Part|Warp{stress}|Weft{stress}", strengths),
+        "cable values": ("Design values of the cables", CABLES, cable_values(scene)),
+        "bar values": ("Design values of the bars", BARS, bar_values(scene.bars, units)),
+        "limits": (
+            "Limits in service",
+            "Limit|Value",
+            limits_in_service(scene.design.limits, units),
+        ),
         "supports": (
             "Supports of the membrane",
             "Group|Held directions|Vertices|Length of edges{length}",
@@ -65,13 +75,13 @@ def model_of_scene(scene: Scene, units: Units, cable_strengths: Mapping[str, flo
         ),
         "cables": (
             "Cables",
-            "Cable|EA{force}|Unstressed length{length}|Friction|Start / end|Lies|Strength{force}",
-            [_cable(cable, units, cable_strengths.get(cable.name)) for cable in scene.cables],
+            "Cable|EA{force}|Unstressed length{length}|Friction|Start / end|Lies",
+            [_cable(cable, units) for cable in scene.cables],
         ),
         "bars": (
             "Bars",
-            "Bar|Kind|Strength{force}|Buckling curve or factor|EI{bending}|EA{force}|"
-            "Unstressed length{length}|Start at x; y; z{length}|End at x; y; z{length}",
+            "Bar|Kind|EA{force}|Unstressed length{length}|Start at x; y; z{length}|"
+            "End at x; y; z{length}",
             [_bar(bar, units) for bar in scene.bars],
         ),
         "joints": (
@@ -94,7 +104,7 @@ def model_of_scene(scene: Scene, units: Units, cable_strengths: Mapping[str, flo
         ),
     }
     tables = {
-        name: Table(caption, units.headings(columns), rows, small=name == "bars")
+        name: Table(caption, units.headings(columns), rows, small=name in ("bars", "bar values"))
         for name, (caption, columns, rows) in listed.items()
     }
     return Model(
@@ -107,8 +117,8 @@ PRESSED = "Pressure acts on"
 """Property that only models under inner pressure need."""
 
 STATE = {
-    "materials": (), "supports": (3,), "cables": (2,), "bars": (6,), "joints": (2, 3, 4),
-    "loads": (3, 4, 5),
+    "materials": (), "supports": (3,), "cables": (2,), "bars": (3,), "joints": (2, 3, 4),
+    "loads": (3, 4, 5), "cable values": (), "bar values": (6, 7, 8, 9, 10),
 }  # fmt: skip
 """Tables whose listed columns depend on the state."""
 
@@ -238,7 +248,7 @@ def _supports(scene: Scene) -> list[Row]:
     return [*rows, ("all held vertices", "", held, None)] if held else rows
 
 
-def _cable(cable: LaidCable, units: Units, strength: float | None) -> Row:
+def _cable(cable: LaidCable, units: Units) -> Row:
     friction = cable.cable.friction
     friction = friction if isinstance(friction, Friction) else Friction(friction)
     data = _listed({one.name: _text(getattr(friction, one.name)) for one in fields(friction)})
@@ -250,7 +260,7 @@ def _cable(cable: LaidCable, units: Units, strength: float | None) -> Row:
         for end, joint in zip(cable.ends, cable.state.laid.joints, strict=True)
     )
     L0, friction_data = units.exact(cable.L0), "none" if free else data
-    return cable.name, cable.cable.EA, L0, friction_data, ends, lies, strength
+    return cable.name, cable.cable.EA, L0, friction_data, ends, lies
 
 
 def _bar(bar: PlacedBar, units: Units) -> Row:
@@ -260,9 +270,7 @@ def _bar(bar: PlacedBar, units: Units) -> Row:
         else _place(one.position, units) if is_unnamed(one.name) else one.name
         for one in (bar.start, bar.end)
     )  # fmt: skip
-    of = bar.bar
-    L0 = units.exact(bar.L0)
-    return bar.name, kind, of.strength, of.curve, of.EI, of.EA, L0, start, end
+    return bar.name, kind, bar.bar.EA, units.exact(bar.L0), start, end
 
 
 def _place(at: Iterable[float], units: Units) -> str:

@@ -20,7 +20,7 @@ Item = TypeVar("Item")
 Cell = str | int | float | None
 """None is an empty cell: no value."""
 
-SHORT = 8
+SHORT = 12
 """Number of rows up to which a table is kept on one printed page."""
 
 WHOLE = "whole membrane"
