@@ -34,9 +34,9 @@ VIEW = (-55.0, 28.0)
 # Form
 # ----
 # The feet along y stay on the ground. The ends of the sheet are lifted onto the arches, which are
-# circular. Between the arches the film sags, and a valley cable in a sleeve holds it down. It is part
-# of the form: laid over the finished roof and pulled by 1.5 % of its length, it would shorten the
-# fabric along it and take away the weft's prestress, as the limit below would tell.
+# circular. Between the arches the film sags, and a valley cable in a sleeve holds it down. It is
+# part of the form: laid over the finished roof and pulled by 1.5 % of its length, it would shorten
+# the fabric along it and take away the weft's prestress, as the limit below would tell.
 size = float(next((word for word in sys.argv[1:] if word[:1].isdigit()), 0.5))
 feet = [(-SPAN / 2, 0.0), (SPAN / 2, 0.0)]
 plan = meshes.rectangle(

@@ -27,9 +27,6 @@ BARS = (
 )
 """Headings of bars' design values."""
 
-MOST = 3
-"""Number of alike members in turn up to which a row names each."""
-
 
 def cable_values(scene: Scene) -> list[Row]:
     """Design values of the cables by EN 1993-1-11, or as given; none of cables without."""
@@ -71,7 +68,7 @@ def alike(table: Table) -> Table:
     for _, group in groupby(table.rows, key=lambda row: [shown(cell) for cell in row[1:]]):
         own = list(group)
         names = [str(row[0]) for row in own]
-        label = f"{names[0]} ... {names[-1]}" if len(names) > MOST else ", ".join(names)
+        label = f"{names[0]} ... {names[-1]}" if len(names) > 2 else ", ".join(names)
         rows.append((label, *own[0][1:]))
     return replace(table, rows=rows)
 
