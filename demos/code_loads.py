@@ -27,7 +27,8 @@ from crms_fenicsx.results.output import draw, join_pictures
 RESULTS = "results/code_loads"
 SPAN, RISE, BAY = 14.0, 4.5, 9.0
 PRESTRESS, TENSION = 3.0, 8.0  # kN/m of the fabric, kN of the valley cable
-SNOW, GUST = 0.75, 0.65  # kPa: s_k on the ground, q_p of the wind
+SNOW = 0.75  # kPa: s_k on the ground
+GUST = codes.peak_pressure(24.0, RISE, "II")  # kPa: q_p of the wind at the crown
 VIEW = (-55.0, 28.0)
 
 # %%

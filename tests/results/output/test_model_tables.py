@@ -126,12 +126,30 @@ def test_loads_say_what_they_follow() -> None:
     scene.put_load((0.0, 0.0, -0.01), name="weight")
     scene.put_wind(0.65, -0.8, name="suction")
     scene.put_wind(0.65, codes.canopy(scene, (1, 0), "monopitch", 5.0, "up"), name="up")
-    basis = model_of_scene(scene, Units("m", "kN")).basis
-    assert set(basis) == {"Load snow", "Load drift", "Load suction", "Load up"}
+    q_p = codes.peak_pressure(25.0, 10.0, "II")
+    scene.put_wind(q_p, lambda x, n: 0.2 * x[0], name="storm")
+    vault = codes.CylindricalSnow((0, 0), across=(1, 0), span=4.0, rise=1.0, case="ii")
+    scene.put_load(codes.snow_load(0.75, vault), name="snow drifted", per="plan")
+    model = model_of_scene(scene, Units("m", "kN"))
+    basis = model.basis
+    names = ("snow", "drift", "suction", "up", "storm", "snow drifted")
+    assert set(basis) == {f"Load {name}" for name in names}
     assert basis["Load snow"].startswith("s_k = 0.75, C_e = 1.2, C_t = 1, mu: Snow on a monopitch")
+    assert basis["Load snow"].endswith("by its own slope: retained = no")
     assert basis["Load drift"] == "Snow behind the parapet."
     assert basis["Load suction"] == "q_p = 0.6500 kN/m\u00b2, c_p = -0.8"
-    assert basis["Load up"].startswith(
-        "q_p = 0.6500 kN/m\u00b2, Net wind on a canopy, from canopy."
+    assert basis["Load up"].startswith("q_p = 0.6500 kN/m\u00b2, Net wind on a canopy, EN 1991-1-4")
+    assert "(A)" in basis["Load up"] and basis["Load up"].endswith("d = 4, b = 4, f/d = 0")
+    # (4.8) by hand: v_m = 0.19 ln(200) 25, I_v = 1 / ln(200)
+    mean, turbulence = 0.19 * np.log(200.0) * 25.0, 1.0 / np.log(200.0)
+    assert q_p == pytest.approx((1 + 7 * turbulence) * 1.25 * mean**2 / 2000)
+    assert basis["Load storm"] == (
+        f"q_p = {q_p:.4f} kN/m\u00b2, EN 1991-1-4, 4.5: v_b = 25 m/s, z = 10 m, terrain category II, "
+        "c_o = 1, rho = 1.25 kg/m\u00b3"
     )
-    assert "zones = {'A': " in basis["Load up"] and "Footprint" not in basis["Load up"]
+    # mu_3 = 0.2 + 10 / 4 is cut off at 2; 2 R sin 60 = 2 x 2.5 x 0.866 is more than the span
+    assert basis["Load snow drifted"].endswith("case = ii, mu_3 = 2, h/b = 0.25, l_s = 4")
+    ranges = {row[0]: row[3] for row in model.tables["loads"].rows}
+    assert ranges["drift"] == "0.3000 kN/m\u00b2" and ranges["suction"] == "c_p \u22120.8000"
+    low, high = map(float, ranges["storm"].removeprefix("c_p ").split(" to "))
+    assert 0.0 < low < 0.3 and 0.5 < high < 0.8  # of centres, averaged around vertices

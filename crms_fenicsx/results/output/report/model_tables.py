@@ -23,6 +23,7 @@ from crms_fenicsx.model.bar import Joint, PlacedBar
 from crms_fenicsx.model.friction import Friction
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.membrane import COMPONENTS
+from crms_fenicsx.model.membrane_load import MembraneLoad
 from crms_fenicsx.model.strengths import ALL
 from crms_fenicsx.results.foundations import partition
 from crms_fenicsx.results.output.report.case import box
@@ -35,6 +36,7 @@ from crms_fenicsx.results.output.report.design_tables import (
 )
 from crms_fenicsx.results.output.report.page import Cell, Figure, Table, Units, number, shown
 from crms_fenicsx.results.output.report.results_tables import Row, clean, families
+from crms_fenicsx.results.quantities import load_values
 from crms_fenicsx.results.reactions import held_groups, held_lengths
 
 
@@ -99,8 +101,9 @@ def model_of_scene(scene: Scene, units: Units) -> Model:
         ),
         "loads": (
             "Loads at the factor 1",
-            "Load|Kind|Mean per area{pressure}|Sum Fx{force}|Sum Fy{force}|Sum Fz{force}",
-            _loads(scene),
+            "Load|Kind|Mean per area{pressure}|On the membrane|Sum Fx{force}|Sum Fy{force}|"
+            "Sum Fz{force}",
+            _loads(scene, units),
         ),
     }
     tables = {
@@ -118,7 +121,7 @@ PRESSED = "Pressure acts on"
 
 STATE = {
     "materials": (), "supports": (3,), "cables": (2,), "bars": (3,), "joints": (2, 3, 4),
-    "loads": (3, 4, 5), "cable values": (), "bar values": (6, 7, 8, 9, 10),
+    "loads": (3, 4, 5, 6), "cable values": (), "bar values": (6, 7, 8, 9, 10),
 }  # fmt: skip
 """Tables whose listed columns depend on the state."""
 
@@ -178,7 +181,7 @@ def _mesh(scene: Scene, areas: Array, extents: list[float], units: Units) -> lis
         (f"Sides of cells{m}: least, mean, largest", ", ".join(map(number, lengths))),
         (f"Extents in x, y, z, stress-free{m}", " by ".join(map(number, extents))),
         (f"Stress-free area{units['area']}", comm.allreduce(float(areas.sum()))),
-        *_theory(scene).items(),
+        *_theory(scene, units).items(),
     ]
     return [(name, shown(value)) for name, value in rows]
 
@@ -282,7 +285,7 @@ def is_unnamed(joint: str) -> bool:
     return joint.startswith(("start of ", "end of "))
 
 
-def _loads(scene: Scene) -> list[Row]:
+def _loads(scene: Scene, units: Units) -> list[Row]:
     rows: list[Row] = []
     for load in scene.loads:
         total = scene.comm.allreduce(load.forces.sum(axis=0))
@@ -290,12 +293,26 @@ def _loads(scene: Scene) -> list[Row]:
         if load.joints:
             kind, total = "on joints", np.sum([*load.joints.values()], axis=0)
         size = None if load.joints else load.intensity
-        rows.append((load.name, kind, size, *clean(total.tolist(), float(abs(total).max()), 1e-4)))
+        total = clean(total.tolist(), float(abs(total).max()), 1e-4)
+        rows.append((load.name, kind, size, _range(scene, load, units), *total))
     for pond in scene.ponds:
         given = f"level z = {pond.level:g}" if pond.given == "level" else f"volume {pond.volume:g}"
         kind = f"water of the weight {pond.weight:g} by volume, {given}"
-        rows.append((pond.name, kind, None, None, None, None))
+        rows.append((pond.name, kind, *(None,) * 5))
     return rows
+
+
+def _range(scene: Scene, load: MembraneLoad, units: Units) -> str | None:
+    """Least and largest coefficient of a wind, or force per area of another load on cells; None of
+    forces on points and lines. Collective."""
+    if load.suction is None and load.material is None:
+        return None
+    values = load_values(scene, load.name)
+    low = scene.comm.allreduce(float(values.min(initial=np.inf)), op=MPI.MIN)
+    high = scene.comm.allreduce(float(values.max(initial=-np.inf)), op=MPI.MAX)
+    alike = high - low <= 1e-6 * max(abs(low), abs(high))
+    text = number(high) if alike else f"{number(low)} to {number(high)}"
+    return f"c_p {text}" if load.suction is not None else f"{text}{units.plain('pressure')}"
 
 
 def _basis(scene: Scene, units: Units) -> dict[str, str]:
@@ -309,7 +326,7 @@ def _basis(scene: Scene, units: Units) -> dict[str, str]:
     return found
 
 
-def _theory(scene: Scene) -> dict[str, str]:
+def _theory(scene: Scene, units: Units) -> dict[str, str]:
     """Texts on pressure, laws, sealed air, floor and user-defined terms."""
     pressed, comm = scene.membrane.pressed, scene.comm
     if comm.allreduce(int(np.count_nonzero(~pressed))):
@@ -325,12 +342,13 @@ def _theory(scene: Scene) -> dict[str, str]:
     air = scene.air.sealed
     if air is not None:
         found["Air"] = (
-            f"sealed at the pressure {air.sealed_at:g} in the volume {air.volume:g}, "
-            f"exponent {air.exponent:g}; atmosphere {air.atmosphere:g}, temperature "
+            f"sealed at the pressure {number(air.sealed_at)}{units.plain('pressure')} in the "
+            f"volume {number(air.volume)}{units.plain('volume')}, exponent {air.exponent:g}; "
+            f"atmosphere {air.atmosphere:g}{units.plain('pressure')}, temperature "
             f"{air.temperature:g} of that at sealing"
         )
     if scene.floor_level is not None:
-        found["Rigid floor at z"] = f"{scene.floor_level:g}"
+        found["Rigid floor at z"] = f"{scene.floor_level:g}{units.plain('length')}"
     added = [term.name for term in scene.terms]
     if ResidualStress.name in added:
         added.remove(ResidualStress.name)
