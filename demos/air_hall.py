@@ -84,7 +84,7 @@ draw(solver, f"{RESULTS}/operation.png", title=f"In operation: {CALM} kPa inside
 # 7.2.8), as a function of how far the surface faces the wind: +0.7 at the windward foot, -1.0 over
 # the top, -0.4 leeward.
 def snow(points, normals):
-    """Load per plan area on the current surface."""
+    """Snow by slope, EN 1991-1-3, table 5.2."""
     slope = np.degrees(np.arccos(np.clip(normals[2], -1.0, 1.0)))
     s = 0.8 * SNOW * np.clip((60.0 - slope) / 30.0, 0.0, 1.0)
     return np.stack([0 * s, 0 * s, -s])
@@ -94,6 +94,7 @@ def wind_to(x, y):
     """Pressure coefficients of wind that blows to (x, y)."""
 
     def coefficient(points, normals):
+        """c_p of a vaulted roof, EN 1991-1-4, 7.2.8, by how far the surface faces the wind."""
         away = (x * normals[0] + y * normals[1]) / np.hypot(x, y)
         return np.interp(
             away, [-0.9, -0.45, -0.2, 0.2, 0.5, 1.0], [0.7, 0.0, -1.0, -1.0, -0.4, -0.4]
@@ -152,7 +153,11 @@ solver.report(
         "Checker": "C. Mast",
         "Revision": "A",
     },
-    basis={"Codes": "examples in the style of EN 1990 and EN 1991, not for use"},
+    basis={
+        "Codes": "examples in the style of EN 1990 and EN 1991, not for use",
+        "Snow": f"s_k = {SNOW} kN/m², C_e = C_t = 1; drifted snow on one half only",
+        "Fans": f"{CALM} kPa in operation, {STORM} kPa in storms, {MELT} kPa under snow",
+    },
     unit="m",
     force="kN",
 )

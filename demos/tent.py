@@ -112,7 +112,7 @@ draw(
 # -----
 # Wind along x presses on the windward quarter and lifts the rest.
 def coefficient(points, normals):
-    """Pressure coefficient, upper minus lower side."""
+    """Net c_p, upper minus lower side: 0.3 on the windward quarter, else -0.7."""
     return np.where(points[0] < -4.0, 0.3, -0.7)
 
 
@@ -147,7 +147,10 @@ solver.report(
         "Checker": "C. Mast",
         "Revision": "A",
     },
-    basis={"Codes": "examples in the style of EN 1990 and EN 1991, not for use"},
+    basis={
+        "Codes": "examples in the style of EN 1990 and EN 1991, not for use",
+        "Snow": "s = 0.52 kN/m² on the plan, with mu = 0.8",
+    },
     unit="m",
     force="kN",
     view=VIEW,

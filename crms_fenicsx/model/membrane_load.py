@@ -95,7 +95,7 @@ def described(function: object) -> str:
     text = (inspect.getdoc(function) or "").partition("\n")[0] if callable(function) else ""
     if not is_dataclass(function) or isinstance(function, type):
         return text
-    given = {one.name: getattr(function, one.name) for one in fields(function)}
+    given = {one.name: getattr(function, one.name) for one in fields(function) if one.repr}
     told = [
         f"{name} = {_as_text(value)}" for name, value in given.items()
         if not is_dataclass(value) and value is not None

@@ -10,7 +10,7 @@ at each; compare those that a design relies on with your copy.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -344,7 +344,7 @@ class ArchWind:
 
     roof: Footprint
     zones: Zones
-    stepped: bool
+    stepped: bool = field(repr=False)
 
     def __call__(self, x: Array, n: Array) -> Array:
         """Coefficients (n,) at points (3, n)."""

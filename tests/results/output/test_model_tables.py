@@ -144,12 +144,12 @@ def test_loads_say_what_they_follow() -> None:
     mean, turbulence = 0.19 * np.log(200.0) * 25.0, 1.0 / np.log(200.0)
     assert q_p == pytest.approx((1 + 7 * turbulence) * 1.25 * mean**2 / 2000)
     assert basis["Load storm"] == (
-        f"q_p = {q_p:.4f} kN/m\u00b2, EN 1991-1-4, 4.5: v_b = 25 m/s, z = 10 m, terrain category II, "
-        "c_o = 1, rho = 1.25 kg/m\u00b3"
+        f"q_p = {q_p:.4f} kN/m\u00b2, EN 1991-1-4, 4.5: v_b = 25 m/s, z = 10 m, terrain category "
+        "II, c_o = 1, rho = 1.25 kg/m\u00b3"
     )
     # mu_3 = 0.2 + 10 / 4 is cut off at 2; 2 R sin 60 = 2 x 2.5 x 0.866 is more than the span
     assert basis["Load snow drifted"].endswith("case = ii, mu_3 = 2, h/b = 0.25, l_s = 4")
     ranges = {row[0]: row[3] for row in model.tables["loads"].rows}
-    assert ranges["drift"] == "0.3000 kN/m\u00b2" and ranges["suction"] == "c_p \u22120.8000"
-    low, high = map(float, ranges["storm"].removeprefix("c_p ").split(" to "))
+    assert ranges["drift"] == "0.3000" and ranges["suction"] == "\u22120.8000"
+    low, high = map(float, ranges["storm"].split(" to "))
     assert 0.0 < low < 0.3 and 0.5 < high < 0.8  # of centres, averaged around vertices

@@ -6,7 +6,10 @@ import base64
 import io
 import re
 import sys
+from collections.abc import Iterator
 from dataclasses import replace
+from importlib.metadata import version
+from itertools import pairwise, product
 from pathlib import Path
 from typing import Any
 
@@ -396,7 +399,44 @@ def test_a_pdf_to_hand_in(comm: MPI.Intracomm, folder: Path) -> None:
     assert not re.search("hollow|crude|used to|held by edges", whole)
     root = pytest.importorskip("pypdf").PdfReader(folder / "tent.pdf").trailer["/Root"]
     assert root["/MarkInfo"]["/Marked"] and "/StructTreeRoot" in root  # for screen readers
-    assert root["/Lang"] == "en"
+    assert root["/Lang"] == "en" and root["/ViewerPreferences"]["/DisplayDocTitle"]
+    kinds = [kind for kind, _ in elements(root["/StructTreeRoot"])]
+    heads = [int(kind[2]) for kind in kinds if re.fullmatch("/H[1-6]", kind)]
+    assert heads[:2] == [1, 2] and heads.count(1) == 1
+    assert all(after <= before + 1 for before, after in pairwise(heads))  # none is left out
+    assert {"/Table", "/TH", "/TD"} <= {*kinds}
+    told = [alt for kind, alt in elements(root["/StructTreeRoot"]) if kind == "/Figure"]
+    assert all(told) and (told or int(version("weasyprint").partition(".")[0]) < 70)
+
+
+def elements(node: Any) -> Iterator[tuple[str, str]]:
+    """Kinds of a PDF's structure elements in reading order, with their alternative texts."""
+    node = node.get_object() if hasattr(node, "get_object") else node
+    if isinstance(node, dict):
+        if "/S" in node:
+            yield str(node["/S"]), str(node.get("/Alt", ""))
+        yield from elements(node.get("/K"))
+    for one in node if isinstance(node, list) else ():
+        yield from elements(one)
+
+
+def test_texts_have_enough_contrast() -> None:
+    """4.5 of all inks to white and to what lies behind text, as WCAG 2.1, 1.4.3, asks."""
+    style = (Path(sections.__file__).parent / "templates" / "report.css").read_text()
+    inks = {*re.findall(r"(?<![-\w])color: (#\w{6})", style)}
+    inks |= {colour for name, colour in re.findall(r"--(\w+): (#\w{6})", style)
+             if name in ("ink", "faint", "accent")}  # fmt: skip
+    grounds = {"#ffffff", *re.findall(r"background: (#\w{6})", style)}
+    grounds |= {*re.findall(r"--tint: (#\w{6})", style)}
+    assert len(inks) >= 3 and len(grounds) >= 5
+
+    def light(colour: str) -> float:
+        parts = [int(colour[k : k + 2], 16) / 255 for k in (1, 3, 5)]
+        linear = [x / 12.92 if x <= 0.04045 else ((x + 0.055) / 1.055) ** 2.4 for x in parts]
+        return float(np.dot((0.2126, 0.7152, 0.0722), linear))
+
+    for ink, ground in product(inks, grounds):
+        assert (light(ground) + 0.05) / (light(ink) + 0.05) > 4.5, (ink, ground)
 
 
 def test_pdf_without_weasyprint(

@@ -15,7 +15,7 @@ from crms_fenicsx.analysis.verification.report import Check
 from crms_fenicsx.model.versions import StateWarning
 from crms_fenicsx.results.design_checks import DesignCheck
 from crms_fenicsx.results.output.report.case import Case, case_of, shape_of
-from crms_fenicsx.results.output.report.page import Table, Units, Verdict, number
+from crms_fenicsx.results.output.report.page import Table, Units, Verdict
 from crms_fenicsx.results.output.report.results_tables import ResultTables
 from crms_fenicsx.results.output.report.sections import with_codes
 from crms_fenicsx.results.output.report.verdict import governing, verdict_on
@@ -110,7 +110,7 @@ def test_rain_that_would_stand(case: Case) -> None:
     reason = verdict.reasons[-1]
     deepest = wet.summary.hollows[0]
     assert reason.startswith(
-        f"Rain would stand in 1 of 2 combinations, up to {number(deepest.depth)} m deep at"
+        f"Rain would stand in 1 of 2 combinations, up to {deepest.depth:.3f} m deep at"
     )
     assert "(snow)" in reason
     assert "check the roof for ponding" in reason

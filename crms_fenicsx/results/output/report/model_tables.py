@@ -101,9 +101,9 @@ def model_of_scene(scene: Scene, units: Units) -> Model:
         ),
         "loads": (
             "Loads at the factor 1",
-            "Load|Kind|Mean per area{pressure}|On the membrane|Sum Fx{force}|Sum Fy{force}|"
-            "Sum Fz{force}",
-            _loads(scene, units),
+            "Load|Kind|Mean per area{pressure}|On cells{pressure}, of wind c_p|Sum Fx{force}|"
+            "Sum Fy{force}|Sum Fz{force}",
+            _loads(scene),
         ),
     }
     tables = {
@@ -285,7 +285,7 @@ def is_unnamed(joint: str) -> bool:
     return joint.startswith(("start of ", "end of "))
 
 
-def _loads(scene: Scene, units: Units) -> list[Row]:
+def _loads(scene: Scene) -> list[Row]:
     rows: list[Row] = []
     for load in scene.loads:
         total = scene.comm.allreduce(load.forces.sum(axis=0))
@@ -294,7 +294,7 @@ def _loads(scene: Scene, units: Units) -> list[Row]:
             kind, total = "on joints", np.sum([*load.joints.values()], axis=0)
         size = None if load.joints else load.intensity
         total = clean(total.tolist(), float(abs(total).max()), 1e-4)
-        rows.append((load.name, kind, size, _range(scene, load, units), *total))
+        rows.append((load.name, kind, size, _range(scene, load), *total))
     for pond in scene.ponds:
         given = f"level z = {pond.level:g}" if pond.given == "level" else f"volume {pond.volume:g}"
         kind = f"water of the weight {pond.weight:g} by volume, {given}"
@@ -302,7 +302,7 @@ def _loads(scene: Scene, units: Units) -> list[Row]:
     return rows
 
 
-def _range(scene: Scene, load: MembraneLoad, units: Units) -> str | None:
+def _range(scene: Scene, load: MembraneLoad) -> str | None:
     """Least and largest coefficient of a wind, or force per area of another load on cells; None of
     forces on points and lines. Collective."""
     if load.suction is None and load.material is None:
@@ -310,9 +310,8 @@ def _range(scene: Scene, load: MembraneLoad, units: Units) -> str | None:
     values = load_values(scene, load.name)
     low = scene.comm.allreduce(float(values.min(initial=np.inf)), op=MPI.MIN)
     high = scene.comm.allreduce(float(values.max(initial=-np.inf)), op=MPI.MAX)
-    alike = high - low <= 1e-6 * max(abs(low), abs(high))
-    text = number(high) if alike else f"{number(low)} to {number(high)}"
-    return f"c_p {text}" if load.suction is not None else f"{text}{units.plain('pressure')}"
+    ends = dict.fromkeys(number(x) for x in (low, high))
+    return " to ".join(ends)
 
 
 def _basis(scene: Scene, units: Units) -> dict[str, str]:

@@ -14,6 +14,7 @@ from crms_fenicsx.results.output.report.case import BASE, Case
 from crms_fenicsx.results.output.report.page import (
     WHOLE,
     Cell,
+    Measured,
     Table,
     Units,
     in_parts,
@@ -113,13 +114,14 @@ class ResultTables:
                 case.name,
                 *map(self.units.exact, (case.deflection.value, one.displacement.value)),
                 *map(self.units.exact, (one.lowest.value, one.highest.value)),
-                per_cent(one.membrane.slack), per_cent(one.membrane.wrinkled),
+                *(Measured(100.0 * x, 1) for x in (one.membrane.slack, one.membrane.wrinkled)),
             )
             for case in self.cases for one in [case.summary]
         ]  # fmt: skip
         columns = self.units.headings(
             "Combination|Deflection from the base state{length}|Deflection from the stress-free "
-            "shape{length}|Lowest in z{length}|Highest in z{length}|Slack area|Wrinkled area"
+            "shape{length}|Lowest in z{length}|Highest in z{length}|Slack area [%]|"
+            "Wrinkled area [%]"
         )
         return Table("Largest deflections, and state of the membrane", columns, rows, "overview")
 
@@ -322,7 +324,10 @@ class ResultTables:
     def hollows(self) -> Table:
         """Ponding: the deepest hollow of each case."""
         rows: list[Row] = [
-            (case.name, len(found), one.depth, place(one.at, self.size), one.volume, one.area)
+            (
+                case.name, len(found), self.units.exact(one.depth), place(one.at, self.size),
+                one.volume, one.area,
+            )
             for case in self.cases for found in [case.summary.hollows] for one in found[:1]
         ]  # fmt: skip
         columns = self.units.headings(

@@ -341,9 +341,9 @@ class Report:
         text = "Least and largest values over all combinations, with the governing combination."
         intro = [Paragraph(text)] if several else []
         every = {case.name: case.summary.membrane.largest for case in self.cases}
-        used = [(name, 0.0, largest["utilisation"].value) for name, largest in every.items()
+        used = [(name, 0.0, 100.0 * largest["utilisation"].value) for name, largest in every.items()
                 if "utilisation" in largest]  # fmt: skip
-        chart = BarChart("Largest utilisation of the membrane", used, limit=1.0)
+        chart = BarChart("Largest utilisation of the membrane [%]", used, limit=100.0)
         tables = [of.envelope(), of.overview(), of.section_forces()]
         found = [PageSection("Membrane", [*intro, *tables, chart])]
         patches, ponds = of.patches(), of.hollows()

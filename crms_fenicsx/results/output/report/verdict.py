@@ -15,6 +15,7 @@ from crms_fenicsx.results.output.report.page import (
     number,
     per_cent,
     place,
+    shown,
 )
 from crms_fenicsx.results.summary import DesignTable
 
@@ -171,7 +172,7 @@ def _rain(cases: Sequence[Case], size: float, units: Units) -> Iterator[str]:
         deepest = most.summary.hollows[0]
         yield (
             f"Rain would stand in {len(wet)} of {len(cases)} combinations, up to "
-            f"{number(deepest.depth)}{units.plain('length')} deep at x; y; z = "
+            f"{shown(units.exact(deepest.depth))}{units.plain('length')} deep at x; y; z = "
             f"{place(deepest.at, size)} ({most.name}): check the roof for ponding."
         )
 
