@@ -428,7 +428,8 @@ def test_texts_have_enough_contrast() -> None:
              if name in ("ink", "faint", "accent")}  # fmt: skip
     grounds = {"#ffffff", *re.findall(r"background: (#\w{6})", style)}
     grounds |= {*re.findall(r"--tint: (#\w{6})", style)}
-    assert len(inks) >= 3 and len(grounds) >= 5
+    grounds.remove("#b3261e")  # bars of a chart, whose numbers are beside them
+    assert len(inks) >= 3 and len(grounds) == 5
 
     def light(colour: str) -> float:
         parts = [int(colour[k : k + 2], 16) / 255 for k in (1, 3, 5)]
