@@ -109,16 +109,16 @@ def __getattr__(name: str) -> object:
 
 
 def _version() -> str:
-    """The release, in a clone with its commit and ".dirty" if files differ: "0.3.0+g1a2b3c4d"."""
+    """The release with the commit of the clone, or of that which `setup.py` built from, and
+    ".dirty" if files differ: "0.3.0+g1a2b3c4d"."""
     import os
     import subprocess
     from pathlib import Path
 
-    clone = Path(__file__).parents[1]
+    clone, built = Path(__file__).parents[1], Path(__file__).with_name("COMMIT")
     if not (clone / ".git").exists():
-        return _RELEASE
-    commit = os.environ.get("CRMS_COMMIT", "")  # from `run`, in whose environment there is no git
-    if not commit:
+        commit = built.read_text().strip() if built.exists() else ""
+    elif not (commit := os.environ.get("CRMS_COMMIT", "")):  # from `run`, which hides git
         describe = ["git", "describe", "--always", "--dirty", "--exclude=*", "--abbrev=8"]
         try:
             done = subprocess.run(describe, cwd=clone, capture_output=True, text=True, check=False)

@@ -885,17 +885,15 @@ class Solver:
             ``title``: heading. ``about``: names and texts below it; "Office", "Project", "Author",
             "Checker", "Revision" and "Date" also in the PDF's head and signatures. ``basis``:
             names and texts of the basis of design, as ``{"Codes": "EN 1990"}``.
-            ``unit``, ``force``: names of the units of length and force. ``cable_strengths``:
-            strengths of cables by name, divided by the partial factors (force), for their
-            utilisation; the fabric's strengths are those of `Scene.set_strengths`. ``pictures``:
-            membrane colours of each combination's pictures, as for `draw`, or "tension" of cables
-            and bars; by default tension, displacement, section forces and utilisation. Of more than
-            12, those of governing combinations. Too large a page omits the last ones. ``view``:
+            ``unit``, ``force``: names of the units of length and force. ``pictures``: membrane
+            colours of each combination's pictures, as for `draw`, or "tension" of cables and bars;
+            by default tension, displacement, section forces and utilisation. Of more than 12, those
+            of governing combinations. Too large a page omits the last ones. ``view``:
             viewpoint, as for `draw`. ``sections``: additional ones, as of
             `design.patterns.report_sections`. ``order``: fabrication lengths of cables, from
             `nets.lengths_to_order`. ``foundations``: ends of cables and joints on each
             foundation, as ``{"F1": ["A1 start", "mast foot"]}``; ends at the same place belong
-            together. ``strain_limit``: of the membrane's larger principal strain, by default 0.1.
+            together. ``strain_limit``: of the membrane's major principal strain, by default 0.1.
             ``template``: a jinja2 file, which may extend "report.html". ``pdf``: whether to write a
             PDF too, with WeasyPrint. ``interactive``: whether to write a rotatable view of each
             combination, as ``tent_view_1.html``, with pyvista and its trame.

@@ -50,8 +50,10 @@ class Bar:
         Partial factor by which the strength is divided: the slenderness takes their product for
         A f_y.
     buckling_length
-        Buckling length (length); None: the distance of its ends. `codes.steel_bar` makes bars of
-        steel sections.
+        Buckling length (length); None: the distance of its ends.
+    section
+        What it is made of, for reports. `codes.steel_bar` makes bars of steel sections, and names
+        section, area, second moment of area and yield strength.
     expansion
         Coefficient of thermal expansion alpha (per kelvin), 1.2e-5 of steel, needed by temperature
         loads (`Scene.put_temperature`); None: unknown.
@@ -70,6 +72,7 @@ class Bar:
     curve: Literal["a0", "a", "b", "c", "d"] | float | None = None
     gamma_M: Positive = 1.0
     buckling_length: Positive | None = None
+    section: str = ""
     expansion: float | None = None
 
     def __post_init__(self) -> None:

@@ -8,11 +8,10 @@ on the new shape. The correction on folded cells is a separate term, `folded_pre
 from __future__ import annotations
 
 import inspect
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import cached_property
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from dolfinx import fem
@@ -94,14 +93,28 @@ class MembraneLoad:
 
 def described(function: object) -> str:
     """The first line of a function's docstring; of a dataclass's object that of the class, with
-    its fields."""
+    its fields and what these and their objects have `computed`."""
     text = (inspect.getdoc(function) or "").partition("\n")[0] if callable(function) else ""
     if not is_dataclass(function) or isinstance(function, type):
         return text
-    given = {one.name: getattr(function, one.name) for one in fields(function)}
-    values = [f"{name} = {value}" for name, value in given.items() if not is_dataclass(value)]
-    told = f"{text} {', '.join(values)}".replace("`", "")
-    return re.sub(r"\d+\.\d+", lambda found: f"{float(found[0]):.4g}", told)
+    given = {one.name: getattr(function, one.name) for one in fields(function) if one.repr}
+    told = [
+        f"{name} = {_as_text(value)}" for name, value in given.items()
+        if not is_dataclass(value) and value is not None
+    ]  # fmt: skip
+    told += [one for x in (*given.values(), function) if (one := getattr(x, "computed", ""))]
+    return f"{text.rstrip('.')}: {', '.join(told)}".replace("`", "")
+
+
+def _as_text(value: Any) -> str:
+    """A field's value as text."""
+    if isinstance(value, Mapping):
+        return ", ".join(f"{_as_text(one)} ({name})" for name, one in value.items())
+    if isinstance(value, np.ndarray | list | tuple):
+        return f"({', '.join(map(_as_text, value))})"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 class _Shape:
@@ -179,7 +192,12 @@ def wind_load(
         suction[:] = -pressure * _coefficients(coefficient, membrane, shape)
     load = shape.load(name, suction[:, None] * shape.vectors, suction)
     told = f"c_p = {coefficient:g}" if isinstance(coefficient, float | int) else ""
-    return replace(load, peak=pressure, basis=told or described(coefficient))
+    if isinstance(coefficient, Mapping):
+        told = f"c_p = {_as_text(coefficient)}"
+    told = "; ".join(
+        x for x in (getattr(pressure, "basis", ""), told or described(coefficient)) if x
+    )
+    return replace(load, peak=float(pressure), basis=told)
 
 
 def nodal_load(membrane: Membrane, forces: fem.Function, name: str = "forces") -> MembraneLoad:

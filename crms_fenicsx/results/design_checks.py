@@ -178,7 +178,7 @@ def in_service(
     """This rank's values and present places (k, 3) that limits in service are for, by "deflection"
     or "prestress" and the name of a part or joint; none without a state in operation. Collective.
 
-    Of prestress: smaller principal section forces recovered at vertices out of reinforcement."""
+    Of prestress: minor principal section forces recovered at vertices out of reinforcement."""
     base, limits, membrane = scene.case.base, scene.design.limits, scene.membrane
     if base is None:
         return {}

@@ -132,7 +132,7 @@ class MembraneResults:
     def utilisation(self, strengths: Strengths | Mapping[str, Strengths] | None = None) -> Array:
         """Ratio of true section force to strength, the larger of warp and weft.
 
-        In isotropic material it is the ratio of the larger principal force to the strength.
+        In isotropic material it is the ratio of the major principal force to the strength.
 
         Parameters
         ----------

@@ -100,8 +100,8 @@ QUANTITIES = {
     "warp": _CellQuantity("section force along warp", "warp_weft", 0, "stress"),
     "weft": _CellQuantity("section force along weft", "warp_weft", 1, "stress"),
     "shear": _CellQuantity("shear of warp and weft", "warp_weft", 2, "stress"),
-    "true force 1": _CellQuantity("larger principal section force", "true_forces", 0, "stress"),
-    "true force 2": _CellQuantity("smaller principal section force", "true_forces", 1, "stress"),
+    "true force 1": _CellQuantity("major principal section force", "true_forces", 0, "stress"),
+    "true force 2": _CellQuantity("minor principal section force", "true_forces", 1, "stress"),
     "second Piola warp": _CellQuantity(
         "second Piola-Kirchhoff force along warp", "second_piola_warp_weft", 0, "stress"
     ),
@@ -111,8 +111,8 @@ QUANTITIES = {
     "second Piola shear": _CellQuantity(
         "second Piola-Kirchhoff shear", "second_piola_warp_weft", 2, "stress"
     ),
-    "strain 1": _CellQuantity("larger principal strain", "strains", 0),
-    "strain 2": _CellQuantity("smaller principal strain", "strains", 1),
+    "strain 1": _CellQuantity("major principal strain", "strains", 0),
+    "strain 2": _CellQuantity("minor principal strain", "strains", 1),
     "state": _CellQuantity("0 slack, 1 wrinkled, 2 taut", "state"),
     "utilisation": _CellQuantity("utilisation", "utilisation"),
 }

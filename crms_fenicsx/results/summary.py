@@ -262,8 +262,8 @@ class DesignTable:
         Limit state, combination and check with the largest share, for each limit state, subject and
         member, in the order of the combinations.
     unjudged
-        What has no design value in a combination that strengths judge: "fabric", "cable A1", "bar
-        mast" (of a compressed one also the buckling curve).
+        What has no design value in a combination that strengths judge: "fabric" or "fabric wall" of
+        a part, "cable A1", "bar mast" (of a compressed one also the buckling curve).
     warnings
         Combinations whose states are doubtful, and the warning, such as of a snap-through.
     """
@@ -313,8 +313,8 @@ class DesignTable:
 
 def _without_design(found: Summary) -> Iterator[str]:
     """Fabric, cables and bars of a state without a design value."""
-    if "utilisation" not in found.parts[ALL].largest:
-        yield "fabric"
+    bare = [name for name, part in found.parts.items() if "utilisation" not in part.largest]
+    yield from ["fabric"] if ALL in bare else [f"fabric {name}" for name in bare]
     yield from (f"cable {one.name}" for one in found.cables.values() if one.strength is None)
     yield from (f"bar {one.name}" for one in found.bars.values() if one.utilisation is None)
 

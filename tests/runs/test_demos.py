@@ -127,7 +127,7 @@ def check_clamped_net(left: dict[str, Any]) -> None:
 def check_code_loads(left: dict[str, Any]) -> None:
     """By hand: mu_3 = min(0.2 + 10 h/b, 2), and the supports carry 1.5 x 0.8 s_k on the width l_s
     where the arch is no steeper than 60 degrees. Measured at sizes 0.5 and 1.4: fabric utilisation
-    of 67 and 63 %, 31.4 and 33.4 kN in the cable.
+    of 54 and 49 %, 8.0 and 8.2 kN in the cable, 2.9 kN/m of prestress in operation.
     """
     shapes, fabric, cable = left["shapes"], left["fabric"], left["cable"]
     width = shapes["snow"].width
@@ -139,10 +139,12 @@ def check_code_loads(left: dict[str, Any]) -> None:
     np.testing.assert_allclose(
         snow - calm, 1.5 * 0.8 * left["SNOW"] * width * left["BAY"], rtol=0.03
     )
-    rtol = 0.03 if left["size"] < 0.6 else 0.08
-    np.testing.assert_allclose((left["used"][fabric], left["pull"][cable]), (0.67, 31.4), rtol=rtol)
+    rtol = 0.03 if left["size"] < 0.6 else 0.12
+    np.testing.assert_allclose((left["used"][fabric], left["pull"][cable]), (0.54, 8.0), rtol=rtol)
     assert fabric.endswith(("1.5 snow drifted", "1.5 snow drifted back"))
-    assert cable.endswith("1.5 wind")
+    assert left["judged"].passed and not left["judged"].unjudged
+    (kept,) = (check.effect for *_, check in left["judged"].rows if check.what == "prestress")
+    np.testing.assert_allclose(kept, left["PRESTRESS"], rtol=0.05)
     assert len(left["table"]) == 24 and not left["wet"]
     # by hand: 60 kN/m / (1.4 x 1.1 x 1.6) under snow
     (what,) = (x for x in left["summaries"][fabric].checks if x.what == "fabric warp")

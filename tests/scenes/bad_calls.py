@@ -397,7 +397,6 @@ def scenes(scene: Scene, other: Scene, solver: Solver, cable: LaidCable) -> list
                 "title": (3, None, NAN, ["a"]), "unit": (3, None), "force": (3, None),
                 "about": (3, "x", ["a"], {"a": 3}, {3: "a"}), "view": (3, "nowhere", NAN, [1.0]),
                 "pictures": ("stress", 3, NAN, ["red"], [3], ["utilisation"]),
-                "cable_strengths": (3, {"unknown": 1.0}, {cable.name: 0.0}, {cable.name: NAN}),
             },
         ),
         Call(

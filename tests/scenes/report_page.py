@@ -19,6 +19,7 @@ class Page(HTMLParser):
         self.tables: dict[str, list[list[str]]] = {}
         self.images: list[dict[str, str | None]] = []
         self.rows: list[list[str]] = []
+        self.caption = ""
         self.feed(text)
         self.close()
         assert self.open == []
@@ -29,7 +30,7 @@ class Page(HTMLParser):
         if tag == "img":
             self.images.append(dict(attrs))
         if tag == "table":
-            self.rows = []
+            self.rows, self.caption = [], ""
         if tag == "tr":
             self.rows.append([])
         if tag in ("td", "th"):
@@ -39,13 +40,16 @@ class Page(HTMLParser):
 
     def handle_endtag(self, tag: str) -> None:
         assert self.open.pop() == tag
+        if tag == "caption":
+            self.tables[self.caption] = self.rows
 
     def handle_data(self, data: str) -> None:
         self.words.append(data)
-        if self.open and self.open[-1] in ("td", "th"):
+        inside = [tag for tag in self.open if tag != "span"][-1:]
+        if inside in (["td"], ["th"]):
             self.rows[-1][-1] += data
-        elif self.open and self.open[-1] == "caption":
-            self.tables[data] = self.rows
+        elif inside == ["caption"]:
+            self.caption += data
 
 
 def read_csv(path: Path) -> list[dict[str, str]]:

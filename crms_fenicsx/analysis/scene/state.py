@@ -31,6 +31,8 @@ class LoadCase:
 
     state: str = LIMIT_STATES[0]  # limit state
     base: SceneState | None = None  # in operation, before the loads of a combination; None: unknown
+    prestress: float = 1.0  # partial factor of the prestress
+    without: tuple[str, ...] = ()  # names of cables and bars that are missing
 
 
 @dataclass(frozen=True, repr=False)

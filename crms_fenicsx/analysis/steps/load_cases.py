@@ -164,7 +164,8 @@ def combined(
     for name, given in checks.in_one_order(scene.comm, combinations).items():
         with solver.branch(name) as start:
             base = next((one.base for one in found.values()), start)  # equal, so kept once
-            scene.record(case=LoadCase(given.state, base))
+            case = LoadCase(given.state, base, given.prestress, given.without)
+            scene.record(case=case)
             L0 = prepare(scene, given)
             try:
                 step = solver.advance(load=given.factors, L0=L0, steps=steps, **given.air)

@@ -220,6 +220,13 @@ class MultispanSnow:
         """Coefficient mu_2 of the mean pitch in the valleys, table 5.2."""
         return MU_1 + MU_1 * min(sum(self.pitches) / 2, FLAT) / FLAT
 
+    @property
+    def computed(self) -> str:
+        """Coefficients for reports."""
+        up, down = (float(snow_on_pitch(one, retained=self.retained)) for one in self.pitches)
+        told = f"mu_1 = {up:.3g} and {down:.3g}"
+        return told if self.case == "i" else f"{told}, mu_2 = {self.mu_2:.3g} in the valleys"
+
     def __call__(self, x: Array, n: Array) -> Array:
         """Coefficients mu at points (3, n) with unit normals (3, n)."""
         at, lines = _along(self.across, self.origin)(x), np.asarray(self.lines, dtype=float)
@@ -290,6 +297,12 @@ class CylindricalSnow:
     def mu_3(self) -> float:
         """Coefficient mu_3, expression (5.4)."""
         return min(0.2 + 10 * self.rise / self.span, MOST_MU_3)
+
+    @property
+    def computed(self) -> str:
+        """Coefficients for reports."""
+        told = f"mu = {MU_1:g}" if self.case == "i" else f"mu_3 = {self.mu_3:.3g}"
+        return f"{told}, h/b = {self.rise / self.span:.3g}, l_s = {self.width:.4g}"
 
     def __call__(self, x: Array, n: Array) -> Array:
         """Coefficients mu at points (3, n) with unit normals (3, n)."""
@@ -379,6 +392,11 @@ class DriftedSnow:
         if self.upper_pitch <= SLIDES:
             return 0.0
         return float(snow_on_pitch(self.upper_pitch)) * self.upper_slope / self.length
+
+    @property
+    def computed(self) -> str:
+        """Length and coefficients for reports."""
+        return f"l_s = {self.length:.4g}, mu_w = {self.mu_w:.3g}, mu_s = {self.mu_s:.3g}"
 
     def __call__(self, x: Array, n: Array) -> Array:
         """Coefficients mu at points (3, n) with unit normals (3, n)."""

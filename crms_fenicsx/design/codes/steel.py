@@ -55,9 +55,9 @@ def steel_bar(
     Returns
     -------
     Bar
-        With EA, EI, strength A f_y / gamma_M, curve, gamma_M and the expansion of 3.2.6. The
-        plastic resistance assumes sections of the classes 1 to 3; holes and threads are not
-        deducted.
+        With EA, EI, strength A f_y / gamma_M, curve, gamma_M, the expansion of 3.2.6, and these
+        data as its `section`. The plastic resistance assumes sections of the classes 1 to 3; holes
+        and threads are not deducted.
 
     Raises
     ------
@@ -70,12 +70,16 @@ def steel_bar(
     >>> round(mast.strength), round(mast.EI), round(mast.reduction(5.5) * mast.strength)
     (947, 2724, 609)
     """
+    told = ""
     if isinstance(section, str):
         area, inertia = _hollow(section)
+        told = f"{section}: A = {1e4 * area:.4g} cm², I = {1e8 * inertia:.4g} cm⁴, f_y = "
+        told += f"{f_y / 1e3:.4g} N/mm²"
     else:
         area, inertia = checks.pair("steel_bar: section", section)
         for name, value in (("A", area), ("I", inertia)):
             checks.positive(f"steel_bar: {name} of the section", value)
+        told = f"A = {area:.4g}, I = {inertia:.4g}, f_y = {f_y:.4g}"
     if not 100.0 <= E / f_y <= 3000.0:
         raise InputError(
             f"steel_bar: f_y = {f_y:g} and E = {E:g} are not those of steel; pass both in the same "
@@ -83,7 +87,7 @@ def steel_bar(
         )
     return Bar(
         EA=E * area, EI=E * inertia, strength=area * f_y / gamma_M, curve=curve, gamma_M=gamma_M,
-        buckling_length=buckling_length, tension_only=tension_only, expansion=STEEL,
+        buckling_length=buckling_length, tension_only=tension_only, section=told, expansion=STEEL,
     )  # fmt: skip
 
 

@@ -10,7 +10,7 @@ at each; compare those that a design relies on with your copy.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -110,6 +110,24 @@ HIGHEST = 200.0
 """Height (m) up to which 4.3.2 holds."""
 
 
+class PeakPressure(float):
+    """A peak velocity pressure (kN/m^2), from `peak_pressure`.
+
+    Attributes
+    ----------
+    basis
+        What it follows from, for reports.
+    """
+
+    basis: str
+
+    def __new__(cls, value: float, basis: str = "") -> PeakPressure:
+        """The number with its text."""
+        new = super().__new__(cls, value)
+        new.basis = basis
+        return new
+
+
 @checked
 def peak_pressure(
     v_b: Positive,
@@ -118,7 +136,7 @@ def peak_pressure(
     *,
     orography: Positive = 1.0,
     density: Positive = 1.25,
-) -> float:
+) -> PeakPressure:
     """Peak velocity pressure q_p(z), EN 1991-1-4, 4.3 to 4.5, in kN/m^2.
 
     Parameters
@@ -137,10 +155,10 @@ def peak_pressure(
 
     Returns
     -------
-    float
+    PeakPressure
         q_p = (1 + 7 I_v) rho v_m^2 / 2 (4.8), with v_m = c_r c_o v_b (4.3), c_r = k_r ln(z / z_0)
         (4.4), k_r = 0.19 (z_0 / 0.05)^0.07 (4.5), I_v = 1 / (c_o ln(z / z_0)) (4.7); turbulence
-        factor 1.
+        factor 1. A number; as the pressure of `Scene.put_wind` it tells reports its site.
 
     Raises
     ------
@@ -156,7 +174,9 @@ def peak_pressure(
     rough, least = TERRAINS[terrain]
     profile = np.log(max(z, least) / rough)
     mean = 0.19 * (rough / 0.05) ** 0.07 * profile * orography * v_b
-    return float((1 + 7 / (orography * profile)) * density * mean**2 / 2000)
+    peak = float((1 + 7 / (orography * profile)) * density * mean**2 / 2000)
+    site = f"v_b = {v_b:g} m/s, z = {z:g} m, terrain category {terrain}, c_o = {orography:g}"
+    return PeakPressure(peak, f"EN 1991-1-4, 4.5: {site}, rho = {density:g} kg/m\u00b3")
 
 
 def en1991_vault_zones(rise: float, height: float = 0.0) -> Zones:
@@ -258,6 +278,12 @@ class Footprint:
         """f, from the lowest to the highest point (length)."""
         return self.high - self.low
 
+    @property
+    def computed(self) -> str:
+        """Sizes for reports."""
+        of_depth = f"f/d = {self.rise / self.depth:.4g}"
+        return f"d = {self.depth:.4g}, b = {self.breadth:.4g}, {of_depth}"
+
     def parts(self, x: Array) -> tuple[Array, Array]:
         """Relative positions of points (3, n) along depth and breadth, 0 to 1."""
         c, s = self.direction
@@ -302,7 +328,7 @@ def _corners(scene: Scene, part: str | None) -> Array:
 
 @dataclass(frozen=True)
 class ArchWind:
-    """Wind on a vault or dome, from `vault` or `dome`.
+    """Wind on a vault or dome, EN 1991-1-4, 7.2.8, coefficients c_pe in the zones A, B and C.
 
     Attributes
     ----------
@@ -318,7 +344,7 @@ class ArchWind:
 
     roof: Footprint
     zones: Zones
-    stepped: bool
+    stepped: bool = field(repr=False)
 
     def __call__(self, x: Array, n: Array) -> Array:
         """Coefficients (n,) at points (3, n)."""
@@ -330,7 +356,7 @@ class ArchWind:
 
 @dataclass(frozen=True)
 class CanopyWind:
-    """Net wind on a canopy, from `canopy`.
+    """Net wind on a canopy, EN 1991-1-4, 7.3, coefficients c_p,net by zones.
 
     Attributes
     ----------

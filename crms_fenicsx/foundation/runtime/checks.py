@@ -47,7 +47,8 @@ def finite(what: str, value: object) -> float:
         number = math.inf
     if not math.isfinite(number):
         raise InputError(f"{what} = {value!r} is not finite; pass a finite number.")
-    return number
+    # `codes.peak_pressure` tells what it follows from
+    return value if isinstance(value, float) and hasattr(value, "basis") else number
 
 
 def positive(what: str, value: object) -> float:

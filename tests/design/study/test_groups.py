@@ -70,7 +70,7 @@ def test_groups_find_what_one_solver_finds(comm: MPI.Intracomm, folder: Path) ->
     assert all(one == every[0] for one in every)
     comm.barrier()
     text = page.read_text(encoding="utf-8")
-    shown = [text.count(f'alt="{name}: larger principal section force') for name in TABLE]
+    shown = [text.count(f'alt="{name}: major principal section force') for name in TABLE]
     assert shown == [1] * len(TABLE), "a picture of each, and of nothing twice"
     tensions = (folder / "report_cables.csv").read_text().splitlines()[1:]
     assert [line.split(",")[1] for line in tensions] == ["LC0", *TABLE]

@@ -279,7 +279,7 @@ class Axes3D:
             (left / width, 0.5 * (height - tall) / height, 0.15 / width, tall / height)
         )
         colorbar = self.figure.colorbar(mappable, cax=bar)
-        lines = fill(label, max(int(0.8 * height / 0.066), 12))
+        lines = fill(label, max(int(1.1 * tall / 0.072), 12))  # the picture is cut off beyond
         colorbar.set_label(lines, fontsize=_SMALL + 0.5, color=INK)
         colorbar.ax.tick_params(labelsize=_SMALL, colors=INK, width=0.7, length=3)
         colorbar.outline.set_linewidth(0.6)  # type: ignore[operator]

@@ -108,9 +108,9 @@ def draw(
         Picture file (.png, .pdf, .svg ...); None returns the figure.
     colour
         Colour of the membrane: "height" (z), "displacement", "stress" and "stress 2" (larger and
-        smaller principal true section force), "warp", "weft" and "shear" (true section forces;
+        minor principal true section force), "warp", "weft" and "shear" (true section forces;
         not of isotropic membranes),
-        "strain" (larger principal Green-Lagrange strain), "state", "utilisation" (of the strengths
+        "strain" (major principal Green-Lagrange strain), "state", "utilisation" (of the strengths
         of `Scene.set_strengths`, grey in reinforced corners), "load snow" (force per area of the
         load "snow" at factor 1; pressure coefficients c_p for wind); None: plain fabric. Forces,
         strains and utilisation are the recovered ones, means at each vertex of the cells around of
@@ -122,7 +122,7 @@ def draw(
     tensions
         Whether to colour cables and bars by their forces, with a separate colour bar.
     directions
-        Whether to show the directions of the larger principal section force as strokes.
+        Whether to show the directions of the major principal section force as strokes.
     **options
         Options of `ShapeOptions`: ``view``, ``box``, ``title``, ``limits`` ...
 
@@ -233,7 +233,7 @@ def _supports(scene: Scene) -> dict[str, Any]:
 
 
 def _principal_strokes(system: System) -> Array:
-    """Strokes (k, 2, 3) along the larger principal forces, spread over the surface. Collective."""
+    """Strokes (k, 2, 3) along the major principal forces, spread over the surface. Collective."""
     results, scene = membrane_results(system), system.scene
     n = len(results.state)
     centres = scene.positions()[scene.V.dofmap.list[:n]].mean(axis=1)

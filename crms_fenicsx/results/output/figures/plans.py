@@ -42,7 +42,7 @@ def draw_forces(plan: ForcePlan, unit: str, force: str, dpi: int, width: float =
     places: list[Array] = [plan.outline[..., :2].reshape(-1, 2), plan.rim[..., :2].reshape(-1, 2)]
     places += [at[None, :2] for at, _ in plan.points.values()]
     flats = np.concatenate(places)
-    air = ROOM + 0.3 if plan.most_per_length > 0.0 else ROOM
+    air = ROOM + 0.5 if plan.most_per_length > 0.0 else ROOM
     axes, size = _axes(flats, unit, width, air)
     centre = (flats.min(axis=0) + flats.max(axis=0)) / 2
     high = float(np.linalg.norm(plan.per_length, axis=2).max(initial=0.0))

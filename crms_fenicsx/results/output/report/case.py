@@ -45,6 +45,8 @@ class Case:
     # corners of the bounding box of membrane, cables and bars (length)
     low: Corner
     high: Corner
+    prestress: float = 1.0  # partial factor of the prestress
+    without: tuple[str, ...] = ()  # names of cables and bars that are missing
     # on the first rank: pictures, and the interactive page
     pictures: tuple[Figure, ...] = ()
     view: str = ""
@@ -61,7 +63,7 @@ def case_of(solver: Solved, name: str, before: Shape) -> Case:
     return Case(
         name, "" if scene.case.base is None else found.state, found, checked, foundations(system),
         *_shape_change(before, scene), recovered(membrane_results(system), found),
-        *box(comm, places),
+        *box(comm, places), scene.case.prestress, scene.case.without,
     )  # fmt: skip
 
 

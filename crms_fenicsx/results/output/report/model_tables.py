@@ -23,11 +23,20 @@ from crms_fenicsx.model.bar import Joint, PlacedBar
 from crms_fenicsx.model.friction import Friction
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.membrane import COMPONENTS
+from crms_fenicsx.model.membrane_load import MembraneLoad
 from crms_fenicsx.model.strengths import ALL
 from crms_fenicsx.results.foundations import partition
 from crms_fenicsx.results.output.report.case import box
+from crms_fenicsx.results.output.report.design_tables import (
+    BARS,
+    CABLES,
+    bar_values,
+    cable_values,
+    limits_in_service,
+)
 from crms_fenicsx.results.output.report.page import Cell, Figure, Table, Units, number, shown
-from crms_fenicsx.results.output.report.results_tables import Row, clean, families, part_name
+from crms_fenicsx.results.output.report.results_tables import Row, clean, families
+from crms_fenicsx.results.quantities import load_values
 from crms_fenicsx.results.reactions import held_groups, held_lengths
 
 
@@ -46,18 +55,21 @@ class Model:
     basis: Mapping[str, str] = field(default_factory=dict)  # what loads say of codes, by name
 
 
-def model_of_scene(scene: Scene, units: Units, cable_strengths: Mapping[str, float]) -> Model:
+def model_of_scene(scene: Scene, units: Units) -> Model:
     """Tables of a scene. Collective."""
     areas = scene.membrane.cell_areas
     low, high = box(scene.comm, scene.membrane.stress_free)
     extents = [b - a for a, b in zip(low, high, strict=True)]
-    strengths: list[Row] = [
-        (part_name(part), *one.strength) for part, one in scene.membrane.strengths.items()
-    ]
     listed: dict[str, tuple[str, str, list[Row]]] = {
         "mesh": ("Mesh and theory", "Property|Value", _mesh(scene, areas, extents, units)),
         "materials": ("Membrane", "Part|Area{area}|Material|Data", _materials(scene, areas, units)),
-        "strengths": ("Strengths", "Part|Warp{stress}|Weft{stress}", strengths),
+        "cable values": ("Design values of the cables", CABLES, cable_values(scene)),
+        "bar values": ("Design values of the bars", BARS, bar_values(scene.bars, units)),
+        "limits": (
+            "Limits in service",
+            "Limit|Value",
+            limits_in_service(scene.design.limits, units),
+        ),
         "supports": (
             "Supports of the membrane",
             "Group|Held directions|Vertices|Length of edges{length}",
@@ -65,13 +77,13 @@ def model_of_scene(scene: Scene, units: Units, cable_strengths: Mapping[str, flo
         ),
         "cables": (
             "Cables",
-            "Cable|EA{force}|Unstressed length{length}|Friction|Start / end|Lies|Strength{force}",
-            [_cable(cable, units, cable_strengths.get(cable.name)) for cable in scene.cables],
+            "Cable|EA{force}|Unstressed length{length}|Friction|Start / end|Lies",
+            [_cable(cable, units) for cable in scene.cables],
         ),
         "bars": (
             "Bars",
-            "Bar|Kind|Strength{force}|Buckling curve or factor|EI{bending}|EA{force}|"
-            "Unstressed length{length}|Start at x; y; z{length}|End at x; y; z{length}",
+            "Bar|Kind|EA{force}|Unstressed length{length}|Start at x; y; z{length}|"
+            "End at x; y; z{length}",
             [_bar(bar, units) for bar in scene.bars],
         ),
         "joints": (
@@ -89,12 +101,13 @@ def model_of_scene(scene: Scene, units: Units, cable_strengths: Mapping[str, flo
         ),
         "loads": (
             "Loads at the factor 1",
-            "Load|Kind|Mean per area{pressure}|Sum Fx{force}|Sum Fy{force}|Sum Fz{force}",
+            "Load|Kind|Mean per area{pressure}|On cells{pressure}, of wind c_p|Sum Fx{force}|"
+            "Sum Fy{force}|Sum Fz{force}",
             _loads(scene),
         ),
     }
     tables = {
-        name: Table(caption, units.headings(columns), rows, small=name == "bars")
+        name: Table(caption, units.headings(columns), rows, small=name in ("bars", "bar values"))
         for name, (caption, columns, rows) in listed.items()
     }
     return Model(
@@ -107,8 +120,8 @@ PRESSED = "Pressure acts on"
 """Property that only models under inner pressure need."""
 
 STATE = {
-    "materials": (), "supports": (3,), "cables": (2,), "bars": (6,), "joints": (2, 3, 4),
-    "loads": (3, 4, 5),
+    "materials": (), "supports": (3,), "cables": (2,), "bars": (3,), "joints": (2, 3, 4),
+    "loads": (3, 4, 5, 6), "cable values": (), "bar values": (6, 7, 8, 9, 10),
 }  # fmt: skip
 """Tables whose listed columns depend on the state."""
 
@@ -168,7 +181,7 @@ def _mesh(scene: Scene, areas: Array, extents: list[float], units: Units) -> lis
         (f"Sides of cells{m}: least, mean, largest", ", ".join(map(number, lengths))),
         (f"Extents in x, y, z, stress-free{m}", " by ".join(map(number, extents))),
         (f"Stress-free area{units['area']}", comm.allreduce(float(areas.sum()))),
-        *_theory(scene).items(),
+        *_theory(scene, units).items(),
     ]
     return [(name, shown(value)) for name, value in rows]
 
@@ -240,7 +253,7 @@ def _supports(scene: Scene) -> list[Row]:
     return [*rows, ("all held vertices", "", held, None)] if held else rows
 
 
-def _cable(cable: LaidCable, units: Units, strength: float | None) -> Row:
+def _cable(cable: LaidCable, units: Units) -> Row:
     friction = cable.cable.friction
     friction = friction if isinstance(friction, Friction) else Friction(friction)
     data = _listed({one.name: _text(getattr(friction, one.name)) for one in fields(friction)})
@@ -252,7 +265,7 @@ def _cable(cable: LaidCable, units: Units, strength: float | None) -> Row:
         for end, joint in zip(cable.ends, cable.state.laid.joints, strict=True)
     )
     L0, friction_data = units.exact(cable.L0), "none" if free else data
-    return cable.name, cable.cable.EA, L0, friction_data, ends, lies, strength
+    return cable.name, cable.cable.EA, L0, friction_data, ends, lies
 
 
 def _bar(bar: PlacedBar, units: Units) -> Row:
@@ -262,9 +275,7 @@ def _bar(bar: PlacedBar, units: Units) -> Row:
         else _place(one.position, units) if is_unnamed(one.name) else one.name
         for one in (bar.start, bar.end)
     )  # fmt: skip
-    of = bar.bar
-    L0 = units.exact(bar.L0)
-    return bar.name, kind, of.strength, of.curve, of.EI, of.EA, L0, start, end
+    return bar.name, kind, bar.bar.EA, units.exact(bar.L0), start, end
 
 
 def _place(at: Iterable[float], units: Units) -> str:
@@ -281,7 +292,7 @@ def _loads(scene: Scene) -> list[Row]:
     for load in scene.loads:
         if load.warms:
             changes = [f"{name or 'all'} {dT:+g} K" for name, dT in load.warms.items()]
-            rows.append((load.name, f"temperature: {', '.join(changes)}", *4 * [None]))
+            rows.append((load.name, f"temperature: {', '.join(changes)}", *5 * [None]))
             continue
         total = scene.comm.allreduce(load.forces.sum(axis=0))
         kind = "fixed direction" if load.suction is None else "wind, follows the surface"
@@ -290,12 +301,25 @@ def _loads(scene: Scene) -> list[Row]:
             fabric = scene.comm.allreduce(float(np.abs(load.forces).sum())) > 0.0
             kind, size = (f"{kind}, also on joints", size) if fabric else ("on joints", None)
             total = total + np.sum([*load.joints.values()], axis=0)
-        rows.append((load.name, kind, size, *clean(total.tolist(), float(abs(total).max()), 1e-4)))
+        total = clean(total.tolist(), float(abs(total).max()), 1e-4)
+        rows.append((load.name, kind, size, _range(scene, load), *total))
     for pond in scene.ponds:
         given = f"level z = {pond.level:g}" if pond.given == "level" else f"volume {pond.volume:g}"
         kind = f"water of the weight {pond.weight:g} by volume, {given}"
-        rows.append((pond.name, kind, None, None, None, None))
+        rows.append((pond.name, kind, *(None,) * 5))
     return rows
+
+
+def _range(scene: Scene, load: MembraneLoad) -> str | None:
+    """Least and largest coefficient of a wind, or force per area of another load on cells; None of
+    forces on points and lines. Collective."""
+    if load.suction is None and load.material is None:
+        return None
+    values = load_values(scene, load.name)
+    low = scene.comm.allreduce(float(values.min(initial=np.inf)), op=MPI.MIN)
+    high = scene.comm.allreduce(float(values.max(initial=-np.inf)), op=MPI.MAX)
+    ends = dict.fromkeys(number(x) for x in (low, high))
+    return " to ".join(ends)
 
 
 def _basis(scene: Scene, units: Units) -> dict[str, str]:
@@ -309,7 +333,7 @@ def _basis(scene: Scene, units: Units) -> dict[str, str]:
     return found
 
 
-def _theory(scene: Scene) -> dict[str, str]:
+def _theory(scene: Scene, units: Units) -> dict[str, str]:
     """Texts on pressure, laws, sealed air, floor and user-defined terms."""
     pressed, comm = scene.membrane.pressed, scene.comm
     if comm.allreduce(int(np.count_nonzero(~pressed))):
@@ -325,12 +349,13 @@ def _theory(scene: Scene) -> dict[str, str]:
     air = scene.air.sealed
     if air is not None:
         found["Air"] = (
-            f"sealed at the pressure {air.sealed_at:g} in the volume {air.volume:g}, "
-            f"exponent {air.exponent:g}; atmosphere {air.atmosphere:g}, temperature "
+            f"sealed at the pressure {number(air.sealed_at)}{units.plain('pressure')} in the "
+            f"volume {number(air.volume)}{units.plain('volume')}, exponent {air.exponent:g}; "
+            f"atmosphere {air.atmosphere:g}{units.plain('pressure')}, temperature "
             f"{air.temperature:g} of that at sealing"
         )
     if scene.floor_level is not None:
-        found["Rigid floor at z"] = f"{scene.floor_level:g}"
+        found["Rigid floor at z"] = f"{scene.floor_level:g}{units.plain('length')}"
     added = [term.name for term in scene.terms]
     if ResidualStress.name in added:
         added.remove(ResidualStress.name)

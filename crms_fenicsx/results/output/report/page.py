@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import math
+import re
 import struct
 import warnings
 from collections.abc import Sequence
@@ -20,7 +21,7 @@ Item = TypeVar("Item")
 Cell = str | int | float | None
 """None is an empty cell: no value."""
 
-SHORT = 8
+SHORT = 12
 """Number of rows up to which a table is kept on one printed page."""
 
 WHOLE = "whole membrane"
@@ -301,7 +302,7 @@ def environment(template: Path | None) -> Any:
         loader=ChoiceLoader([extended, FileSystemLoader(folders)]),
         autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined,
     )  # fmt: skip
-    jinja.filters["cell"] = shown
+    jinja.filters |= {"cell": shown, "whole": whole}
     return jinja
 
 
@@ -320,6 +321,13 @@ def shown(value: Cell) -> str:
     if isinstance(value, Measured):
         return f"{round(value, value.decimals) + 0.0:.{value.decimals}f}".replace("-", MINUS)
     return number(value) if isinstance(value, float) else str(value)
+
+
+def whole(text: str) -> Any:
+    """A text as HTML in which no unit, such as kN/m, is broken over two lines."""
+    from markupsafe import Markup, escape
+
+    return Markup(re.sub(r"\S+/\S+", r'<span class="unit">\g<0></span>', str(escape(text))))
 
 
 def number(value: float) -> str:

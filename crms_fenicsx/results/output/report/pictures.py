@@ -73,7 +73,7 @@ def with_pictures(
         png = draw_png(solver, dpi=SHARPEST, limits=_limits(every, colour), **options)
         if png:
             label = LINES if fabric is None else label_of(colour)[0]
-            label += "; strokes: direction of the larger principal section force" if forces else ""
+            label += "; strokes: direction of the major principal section force" if forces else ""
             pictures.append(Figure(png, f"{case.name}: {label}"))
     return replace(case, pictures=tuple(pictures))
 

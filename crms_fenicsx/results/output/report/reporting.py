@@ -19,7 +19,6 @@ from crms_fenicsx.analysis.steps.load_cases import (
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.errors import InputError, raised_together
 from crms_fenicsx.foundation.runtime.files import absolute, make_writable, replaced
-from crms_fenicsx.model.strengths import LIMIT_STATES
 from crms_fenicsx.model.versions import UNBALANCED
 from crms_fenicsx.results.cable_order import Order
 from crms_fenicsx.results.output.figures.axes3d import check_view
@@ -64,7 +63,6 @@ def checked_plan(comm: MPI.Intracomm, scene: Scene, filename: str | Path, **opti
         checks.collection(f"report: {name}", given, Mapping, example)
         for text in (text for pair in given.items() for text in pair):
             checks.of_type(f"report: {text!r} in {name}", text, str)
-    strengths = _checked_strengths(scene, plan.cable_strengths or {})
     further = plan.sections
     if not isinstance(further, Sequence) or not all(isinstance(x, PageSection) for x in further):
         raise InputError(
@@ -106,24 +104,9 @@ def checked_plan(comm: MPI.Intracomm, scene: Scene, filename: str | Path, **opti
             if plan.template is not None:
                 check_template(Path(plan.template).absolute())
     return replace(
-        plan, path=path, cable_strengths=strengths, pictures=pictures, foundations=foundations,
+        plan, path=path, pictures=pictures, foundations=foundations,
         template=None if plan.template is None else Path(plan.template).absolute(),
     )  # fmt: skip
-
-
-def _checked_strengths(scene: Scene, given: Mapping[str, float]) -> dict[str, float]:
-    """Strengths of cables in ultimate limit states, of the scene or given (force), by name."""
-    checks.collection("report: cable_strengths", given, Mapping, '{"ridge": 120.0}')
-    designed = {x.name: scene.design.of_cable(x.name, LIMIT_STATES[0]) for x in scene.cables}
-    strengths = {name: value for name, value in designed.items() if value is not None}
-    for name, value in given.items():
-        if scene.cable(name).name in strengths:
-            raise InputError(
-                f"report: cable_strengths of {name!r}, whose strength scene.set_strengths has "
-                "already; leave it out."
-            )
-        strengths[name] = checks.positive(f"report: strength of the cable {name!r}", value)
-    return strengths
 
 
 def _checked_foundations(
@@ -217,7 +200,7 @@ def model_of(solver: Solved, plan: Plan, states: Mapping[str, Combination]) -> M
     """The model in the combinations' base states, or the current one. Collective."""
     base, now = solver.base, solver.scene.versions.current
     if not states:
-        model = model_of_scene(solver.scene, plan.units, plan.cable_strengths)
+        model = model_of_scene(solver.scene, plan.units)
         if base is None or base.version.model_version != now.model_version:
             return _pictured(solver, plan, model, "The model in its current state")
         with back_to_now(solver):
@@ -235,7 +218,7 @@ def model_of(solver: Solved, plan: Plan, states: Mapping[str, Combination]) -> M
         models = {}
         for own in names.values():
             solver.restore(states[own[0]].base)
-            models[", ".join(own)] = model_of_scene(solver.scene, plan.units, plan.cable_strengths)
+            models[", ".join(own)] = model_of_scene(solver.scene, plan.units)
         model = merged(models)
         solver.restore(first)
         return _pictured(solver, plan, model, caption)
@@ -255,7 +238,7 @@ def write_files(solver: Solved, plan: Plan, model: Model, cases: Sequence[Case])
     """Write the page and its tables, replacing old files once all are complete. Collective."""
     with raised_together(solver.comm):
         if solver.comm.rank == 0:
-            results = ResultTables(cases, plan.units, model.size, plan.cable_strengths)
+            results = ResultTables(cases, plan.units, model.size)
             factors = results.factors(model.pressure, model.factors)
             report = Report(plan, model, cases, factors)
             path, tables = plan.path, report.tables()

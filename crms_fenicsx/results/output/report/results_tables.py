@@ -7,13 +7,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from crms_fenicsx.model.strengths import ALL, SERVICE
-from crms_fenicsx.results.cable_and_bar_results import BarResults, CableResults
+from crms_fenicsx.model.strengths import ALL
+from crms_fenicsx.results.cable_and_bar_results import BarResults
 from crms_fenicsx.results.design_checks import Extreme
 from crms_fenicsx.results.output.report.case import BASE, Case
 from crms_fenicsx.results.output.report.page import (
     WHOLE,
     Cell,
+    Measured,
     Table,
     Units,
     in_parts,
@@ -41,7 +42,6 @@ class ResultTables:
     cases: Sequence[Case]
     units: Units
     size: float  # largest extent of the stress-free surface (length)
-    strengths: Mapping[str, float]  # of cables, by name (force)
 
     def names(self, kind: str) -> list[str]:
         """Names of the cables, bars ... of all cases; `kind` is a summary's attribute."""
@@ -85,19 +85,24 @@ class ResultTables:
         loads = list(dict.fromkeys(load for _, _, known in every for load in known))
         pressed = any(p for _, p, _ in every)
         first = 0 if len(every) > 1 or every[0][0] == "base state" else 1
-        states = {case.name: case.state for case in self.cases if case.state}
+        of = {case.name: case for case in self.cases}
+        tight = any(case.prestress != 1.0 for case in self.cases)
         rows: list[Row] = [
             (
                 f"LC{k}",
                 "base state" if name == BASE else name,
-                states.get(name),
+                of[name].state if name in of else None,
+                of[name].prestress if name in of and tight else None,
+                ", ".join(of[name].without) if name in of else None,
                 p if pressed else None,
                 *(known.get(load) or None for load in loads),
                 divided.get(name) if reduced else None,
             )
             for k, (name, p, known) in enumerate(every, first)
         ]
-        columns = self.units.headings("Case|Combination|Limit state|Inner pressure{pressure}")
+        columns = self.units.headings(
+            "Case|Combination|Limit state|Prestress|Without|Inner pressure{pressure}"
+        )
         columns += [*loads, "Strengths divided by"]
         caption = f"{'Inner pressure and factors' if pressed else 'Factors'} of the loads"
         return Table(caption, columns, rows, "combinations", small=len(loads) > 5)
@@ -109,13 +114,14 @@ class ResultTables:
                 case.name,
                 *map(self.units.exact, (case.deflection.value, one.displacement.value)),
                 *map(self.units.exact, (one.lowest.value, one.highest.value)),
-                per_cent(one.membrane.slack), per_cent(one.membrane.wrinkled),
+                *(Measured(100.0 * x, 1) for x in (one.membrane.slack, one.membrane.wrinkled)),
             )
             for case in self.cases for one in [case.summary]
         ]  # fmt: skip
         columns = self.units.headings(
             "Combination|Deflection from the base state{length}|Deflection from the stress-free "
-            "shape{length}|Lowest in z{length}|Highest in z{length}|Slack area|Wrinkled area"
+            "shape{length}|Lowest in z{length}|Highest in z{length}|Slack area [%]|"
+            "Wrinkled area [%]"
         )
         return Table("Largest deflections, and state of the membrane", columns, rows, "overview")
 
@@ -222,23 +228,15 @@ class ResultTables:
         for name, found in self.by_name("cables"):
             least, low = min(found, key=lambda one: one[1].least)
             largest, high = max(found, key=lambda one: one[1].largest)
-            shares = [self._used(case, one) for case, one in found]
-            share = max((x for x in shares if x is not None), default=None)
-            used = [None if share is None else per_cent(share)]
-            used = used if self.strengths else []
-            rows.append((name, low.least, least, high.largest, largest, *used))
+            shares = [(one.utilisation, case) for case, one in found if one.utilisation is not None]
+            share, governs = max(shares, default=(None, None))
+            used = None if share is None else per_cent(share)
+            rows.append((name, low.least, least, high.largest, largest, used, governs))
         columns = self.units.headings(
             "Cable|Least tension{force}|Governs least|Largest tension{force}|Governs largest"
+            "|Utilisation|Governs utilisation"
         )
-        columns += ["Utilisation"] if self.strengths else []
         return Table("Envelope of the cables' tensions", columns, rows, "cable_envelope")
-
-    def _used(self, name: str, cable: CableResults) -> float | None:
-        """Utilisation of a cable in a case; None if it has no strength, or is not judged by it."""
-        state = next(case.state for case in self.cases if case.name == name)
-        if cable.strength is None and cable.name in self.strengths and state not in SERVICE:
-            return cable.largest / self.strengths[cable.name]
-        return cable.utilisation
 
     def tensions(self) -> list[Table]:
         """Largest tension of each cable in each case."""
@@ -326,7 +324,10 @@ class ResultTables:
     def hollows(self) -> Table:
         """Ponding: the deepest hollow of each case."""
         rows: list[Row] = [
-            (case.name, len(found), one.depth, place(one.at, self.size), one.volume, one.area)
+            (
+                case.name, len(found), self.units.exact(one.depth), place(one.at, self.size),
+                one.volume, one.area,
+            )
             for case in self.cases for found in [case.summary.hollows] for one in found[:1]
         ]  # fmt: skip
         columns = self.units.headings(

@@ -9,8 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from crms_fenicsx.model.strengths import LIMIT_STATES
 from crms_fenicsx.results.cable_order import Order
 from crms_fenicsx.results.output.report.case import BASE, Case
+from crms_fenicsx.results.output.report.design_tables import alike, fabric_values
 from crms_fenicsx.results.output.report.foundation_tables import (
     FoundationTables,
     anchors,
@@ -22,7 +24,6 @@ from crms_fenicsx.results.output.report.page import (
     LARGEST,
     WHOLE,
     BarChart,
-    Cell,
     Figure,
     Figures,
     Link,
@@ -39,13 +40,12 @@ from crms_fenicsx.results.output.report.page import (
 )
 from crms_fenicsx.results.output.report.results_tables import ResultTables, Row
 from crms_fenicsx.results.output.report.verdict import (
-    KINDS,
     NAMES,
     OF_MEMBRANE,
     governing,
     judged,
-    listed,
     verdict_on,
+    with_unit,
 )
 from crms_fenicsx.results.output.report.verification_tables import (
     nearest_to_limits,
@@ -74,13 +74,13 @@ PATCHES = (
     "cables and bars there. The utilisation of plain fabric there depends on the mesh."
 )
 NOTES = (
-    "Section forces are true (Cauchy) forces per current length, positive in tension. The larger "
-    "and smaller ones are principal values; warp and weft are along the current warp and normal to "
+    "Section forces are true (Cauchy) forces per current length, positive in tension. The major "
+    "and minor ones are principal values; warp and weft are along the current warp and normal to "
     "it, and shear refers to these two. Each triangle has one value, so that the largest values at "
     "corners, anchors and cables grow as the mesh becomes finer. Smoothed values are means over "
     "neighbouring triangles; a single-cell peak exceeds the largest of these by a quarter.",
     "Utilisation of the membrane is the larger ratio of the section forces along warp and weft to "
-    "the design strengths for them; in isotropic material, of the larger principal section force "
+    "the design strengths for them; in isotropic material, of the major principal section force "
     "to the strength. It is judged at vertices, from means over the triangles around them of the "
     "same material and strengths, outside of the reinforced corners. The change by finer cells is "
     "how much the triangles around the largest value differ from the means at their corners. "
@@ -137,14 +137,13 @@ class Plan:
     basis: Mapping[str, str] = field(default_factory=dict)  # of design: codes, sites, factors
     unit: str = ""
     force: str = ""
-    cable_strengths: Mapping[str, float] = field(default_factory=dict)  # by name (force)
     pictures: Sequence[str] | None = None  # colours of the membrane
     view: tuple[float, float] = (-60.0, 30.0)
     sections: Sequence[PageSection] = ()  # additional ones
     order: Order | None = None  # lengths of the cables to be made
     # joints, or cables with "start" or "end", by foundation
     foundations: Mapping[str, Sequence[str]] = field(default_factory=dict)
-    strain_limit: float = 0.1  # limit of the larger principal strain
+    strain_limit: float = 0.1  # limit of the major principal strain
     template: str | Path | None = None  # jinja2 template of the page
     pdf: bool = False  # whether to print the page to PDF, too
     interactive: bool = False  # whether to write interactive pages
@@ -174,8 +173,7 @@ class Report:
     @property
     def results(self) -> ResultTables:
         """Tables of the cases."""
-        plan = self.plan
-        return ResultTables(self.cases, plan.units, self.model.size, plan.cable_strengths)
+        return ResultTables(self.cases, self.plan.units, self.model.size)
 
     @property
     def held(self) -> FoundationTables:
@@ -235,7 +233,7 @@ class Report:
     def _summary(self) -> PageSection:
         """The verdict, what governs, and lines for signatures."""
         plan, about = self.plan, self.plan.about
-        verdict = verdict_on(self.cases, self.model.size, plan.strain_limit, plan.cable_strengths)
+        verdict = verdict_on(self.cases, self.model.size, plan.strain_limit, plan.units)
         roles = {"Prepared by": "Author", "Checked by": "Checker"}
         signed = [(role, about.get(key, ""), "") for role, key in roles.items()]
         return PageSection("Summary", [verdict, self._governing(), Signatures(signed)])
@@ -245,15 +243,13 @@ class Report:
         foundations, which have no limit here."""
         plan, rows = self.plan, list[Row]()
         units = plan.units
-        every = judged(self.cases, plan.strain_limit, plan.cable_strengths)
+        every = judged(self.cases, plan.strain_limit)
         limited = {one.state for one in every if one.what == "deflection"}
         for one in governing(every):
-            name, kind = NAMES[one.what][0], KINDS.get(one.what, "")
-            unit = {"": " %", "angle": "°"}.get(kind) or units.plain(kind)
-            factor = 1.0 if kind else 100.0
-            effect, limit = (f"{number(factor * x)}{unit}" for x in (one.effect, one.limit))
+            effect, limit = (with_unit(one.what, x, units) for x in (one.effect, one.limit))
             member = one.member or (WHOLE if one.what in OF_MEMBRANE else "")
-            rows.append((one.state, name, member, effect, limit, per_cent(one.share), one.case))
+            rows.append((one.state, NAMES[one.what][0], member, effect, limit,
+                         per_cent(one.share), one.case))  # fmt: skip
         for state in dict.fromkeys(case.state for case in self.cases):
             own = [case for case in self.cases if case.state == state]
             most = max(own, key=lambda case: case.deflection.value)
@@ -267,7 +263,7 @@ class Report:
                 for kind, label, size, case in held.largest()
             ]  # fmt: skip
         states = list(dict.fromkeys(str(row[0]) for row in rows))
-        rows.sort(key=lambda row: (not row[0], states.index(str(row[0]))))
+        rows.sort(key=lambda row: [*LIMIT_STATES, ""].index(str(row[0])))
         columns = ("Limit state", "Verification", "Governing member", "Effect", "Limit",
                    "Utilisation", "Combination")  # fmt: skip
         caption = "Governing verifications"
@@ -327,43 +323,27 @@ class Report:
         if not any(case.summary.pressure for case in self.cases):
             kept = [row for row in tables["mesh"].rows if row[0] != PRESSED]
             tables["mesh"] = replace(tables["mesh"], rows=kept)
-        made, held = ("materials", "strengths"), ("supports", "cables", "bars", "joints")
-        below = [tables[x] for x in held if x in tables]
-        design = [one for one in [self._design()] if one.rows]
+        below = [tables[x] for x in ("supports", "cables", "bars", "joints") if x in tables]
+        design = [fabric_values(self.cases, self.plan.units)]
+        design += [alike(tables[x]) for x in ("cable values", "bar values") if x in tables]
+        design += [tables[x] for x in ["limits"] if x in tables]
+        design = [one for one in design if one.rows]
         return [
-            PageSection("Materials and design values",
-                        [*(tables[x] for x in made if x in tables), *design]),
+            PageSection("Materials and design values", [tables["materials"], *design]),
             PageSection("Model", [*model.pictures, tables["mesh"], *below]),
             PageSection("Loads", [*([tables["loads"]] if "loads" in tables else []),
                                   Figures(model.loads)]),
             PageSection("Combinations", [self.factors]),
         ]  # fmt: skip
 
-    def _design(self) -> Table:
-        """Design values of the membrane with their factors, where states have them."""
-        found = dict[tuple[Cell, ...], list[str]]()
-        for case in self.cases:
-            for part, one in case.summary.design.items():
-                if one.divisor == 1.0:
-                    continue  # a design value as given
-                factors = ", ".join(f"{name} = {number(x)}" for name, x in one.factors.items())
-                key = (part or WHOLE, *one.strength, factors, *one.design)
-                found.setdefault(key, []).append(case.name)
-        columns = self.plan.units.headings(
-            "Part|f_k warp{stress}|f_k weft{stress}|Factors|f_d warp{stress}|f_d weft{stress}|"
-            "Combinations"
-        )
-        rows = [(*key, listed(names)) for key, names in found.items()]
-        return Table("Design strengths of the membrane", columns, rows)
-
     def _membrane(self) -> list[PageSection]:
         of, several = self.results, len(self.cases) > 1
         text = "Least and largest values over all combinations, with the governing combination."
         intro = [Paragraph(text)] if several else []
         every = {case.name: case.summary.membrane.largest for case in self.cases}
-        used = [(name, 0.0, largest["utilisation"].value) for name, largest in every.items()
+        used = [(name, 0.0, 100.0 * largest["utilisation"].value) for name, largest in every.items()
                 if "utilisation" in largest]  # fmt: skip
-        chart = BarChart("Largest utilisation of the membrane", used, limit=1.0)
+        chart = BarChart("Largest utilisation of the membrane [%]", used, limit=100.0)
         tables = [of.envelope(), of.overview(), of.section_forces()]
         found = [PageSection("Membrane", [*intro, *tables, chart])]
         patches, ponds = of.patches(), of.hollows()
@@ -391,8 +371,7 @@ class Report:
     def _members(self) -> list[PageSection]:
         of, several, found = self.results, len(self.cases) > 1, []
         if of.names("cables"):
-            envelopes = [of.cable_envelope()] if several or of.strengths else []
-            tables = [*envelopes, *of.tensions(), of.lengths(), clamps(of)]
+            tables = [of.cable_envelope(), *of.tensions(), of.lengths(), clamps(of)]
             used = [table for table in tables if table.rows]
             found.append(PageSection("Cables", [self._tensions(), *used]))
         if of.names("bars"):

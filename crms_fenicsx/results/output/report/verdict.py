@@ -2,26 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
-from crms_fenicsx.model.strengths import ALL, SERVICE
+from crms_fenicsx.model.strengths import ALL, LIMIT_STATES, SERVICE
 from crms_fenicsx.results.design_checks import LEAST, DesignCheck
 from crms_fenicsx.results.output.report.case import Case
-from crms_fenicsx.results.output.report.page import WHOLE, Verdict, number, per_cent, place
+from crms_fenicsx.results.output.report.page import (
+    WHOLE,
+    Units,
+    Verdict,
+    number,
+    per_cent,
+    place,
+    shown,
+)
+from crms_fenicsx.results.summary import DesignTable
 
 NAMES = {
-    "fabric": ("Membrane", "of its strength"),
-    "fabric warp": ("Membrane, warp", "of its strength"),
-    "fabric weft": ("Membrane, weft", "of its strength"),
-    "strain": ("Membrane, strain", "of the limit"),
-    "cable": ("Cable tension", "of its strength"),
-    "bar tension": ("Bar in tension", "of its resistance"),
-    "bar compression": ("Bar in compression", "of its resistance"),
-    "deflection": ("Deflection", "of the limit"),
-    "prestress": ("Least prestress", "as limit over prestress"),
-    "slope": ("Least slope", "as limit over slope"),
-    "ponding": ("Ponding", "of the limit"),
+    "fabric": ("Membrane", " of its strength"),
+    "fabric warp": ("Membrane, warp", " of its strength"),
+    "fabric weft": ("Membrane, weft", " of its strength"),
+    "strain": ("Membrane, strain", " of the limit"),
+    "cable": ("Cable tension", " of its strength"),
+    "bar tension": ("Bar in tension", " of its resistance"),
+    "bar compression": ("Bar in compression", " of its resistance"),
+    "deflection": ("Deflection", " of the limit"),
+    "prestress": ("Least prestress", ""),
+    "slope": ("Least slope", ""),
+    "ponding": ("Ponding", " of the limit"),
 }
 """What is judged: its name, and what its utilisation is relative to."""
 
@@ -48,20 +57,13 @@ class Judged(DesignCheck):
     case: str  # name of the combination
 
 
-def judged(cases: Iterable[Case], strain: float, cables: Mapping[str, float]) -> list[Judged]:
-    """All that is judged in the cases; limits are those of strain, the checks of their summaries,
-    and the strengths of cables that have none there."""
+def judged(cases: Iterable[Case], strain: float) -> list[Judged]:
+    """All that is judged in the cases: the limit of strain, and the checks of their summaries."""
     found = list[Judged]()
     for case in cases:
-        summary, state = case.summary, case.state
-        largest = summary.membrane.largest["strain 1"].value
-        every = [DesignCheck("strain", ALL, largest, strain), *summary.checks]
-        every += [
-            DesignCheck("cable", name, cable.largest, cables[name])
-            for name, cable in summary.cables.items()
-            if state not in SERVICE and name in cables and cable.strength is None
-        ]
-        found += [Judged(**vars(one), state=state, case=case.name) for one in every]
+        largest = case.summary.membrane.largest["strain 1"].value
+        every = [DesignCheck("strain", ALL, largest, strain), *case.summary.checks]
+        found += [Judged(**vars(one), state=case.state, case=case.name) for one in every]
     return found
 
 
@@ -72,45 +74,56 @@ def governing(found: Iterable[Judged]) -> list[Judged]:
         known = most.get((one.state, one.what))
         if known is None or one.share > known.share:
             most[one.state, one.what] = one
-    order = [*NAMES]
+    order, states = [*NAMES], ["", *LIMIT_STATES]
     rows = sorted(most.values(), key=lambda one: order.index(one.what))
-    states = list(dict.fromkeys(state for state, _ in most))
     return sorted(rows, key=lambda one: states.index(one.state))
 
 
-def verdict_on(
-    cases: Sequence[Case], size: float, strain: float, cables: Mapping[str, float]
-) -> Verdict:
-    """The verdict, with all objections to the structure or its results, grouped by limit state:
-    limits are the larger principal strain and the strengths of cables, by name."""
+def verdict_on(cases: Sequence[Case], size: float, strain: float, units: Units) -> Verdict:
+    """The verdict, with all objections to the structure or its results, grouped by limit state,
+    and what is not judged; `strain` is the limit of the major principal strain."""
     count = f"all {len(cases)} combinations" if len(cases) > 1 else "the state"
-    reasons = [*_doubts(cases), *_excess(judged(cases, strain, cables))]
-    told, (refined, coarse) = [*_reinforced(cases), *_rain(cases, size)], _refined(cases)
+    reasons = [*_doubts(cases), *_excess(judged(cases, strain), size, units)]
+    unjudged = [*_unjudged(cases)]
+    told, (refined, coarse) = [*_reinforced(cases), *_rain(cases, size, units)], _refined(cases)
     missing = [case.name for case in cases if case.summary.in_equilibrium and not case.verification]
     if reasons:
         moved = [case.name for case in cases if not case.summary.in_equilibrium]
         text = f"Not in equilibrium: {listed(moved)}" if moved else (
             "Not acceptable as it stands, for the reasons below"
         )  # fmt: skip
-        return Verdict(text, [*reasons, *refined, *told], "failed")
+        return Verdict(text, [*reasons, *unjudged, *refined, *told], "failed")
     if missing:
-        return Verdict(f"Not verified in this run: {listed(missing)}", told, "doubtful")
-    by_strength = [case for case in cases if case.state not in SERVICE]
-    used = any("utilisation" in case.summary.membrane.largest for case in cases)
+        text = f"Not verified in this run: {listed(missing)}"
+        return Verdict(text, [*unjudged, *told], "doubtful")
+    used = any(case.summary.checks for case in cases)
     what = "no strain or utilisation" if used else "no strain"
-    text = f"Verified: {count} passed all checks of equilibrium, and {what}"
-    notes = [] if used or not by_strength else [
-        "Strengths of the membrane were not given: its utilisation is not checked."
+    but = ", but not everything is judged" if unjudged else ""
+    text = f"Verified{but}: {count} passed all checks of equilibrium, and {what}"
+    wet = any(case.summary.hollows for case in cases)
+    look = "doubtful" if coarse or wet or unjudged else ""
+    return Verdict(f"{text} is beyond its limit", (*unjudged, *refined, *told), look)
+
+
+def _unjudged(cases: Sequence[Case]) -> Iterator[str]:
+    """What has no design value, and limit states without limits."""
+    found = DesignTable.of({case.name: case.summary for case in cases}).unjudged
+    kinds = dict[str, list[str]]()
+    for one in found:
+        kind, _, name = one.partition(" ")
+        kinds.setdefault(kind, []).append(name)
+    named = [
+        f"{'membrane part' if kind == 'fabric' else kind}{'s' * (len(names) > 1)} {listed(names)}"
+        if any(names) else "the membrane" for kind, names in kinds.items()
     ]  # fmt: skip
-    bars = [bar for case in by_strength for bar in case.summary.bars.values()]
-    unchecked = dict.fromkeys(x.name for x in bars if x.force < 0.0 and x.utilisation is None)
-    if unchecked:
-        notes.append(
-            "Buckling is not checked, as no curve was given, of bars in compression: "
-            f"{listed([*unchecked])}."
-        )
-    look = "doubtful" if coarse or any(case.summary.hollows for case in cases) else ""
-    return Verdict(f"{text} is beyond its limit", (*notes, *refined, *told), look)
+    if named:
+        yield f"Not judged in ultimate limit states, without a design value: {'; '.join(named)}."
+    if "bar" in kinds:
+        yield "A bar in compression needs a buckling curve besides its strength."
+    served = [case for case in cases if case.state in SERVICE]
+    if served and not any(one.what not in ("cable", "strain") for case in served
+                          for one in case.summary.checks):  # fmt: skip
+        yield "Serviceability is not judged: no limit of deflection, prestress, slope or water."
 
 
 def listed(names: Sequence[str]) -> str:
@@ -119,9 +132,9 @@ def listed(names: Sequence[str]) -> str:
     return ", ".join(names[:MOST]) + more
 
 
-def _excess(found: Sequence[Judged]) -> Iterator[str]:
+def _excess(found: Sequence[Judged], size: float, units: Units) -> Iterator[str]:
     """What exceeds its limit: a sentence for each limit state and kind of check, which names the
-    members, the most utilised one first."""
+    members, the most utilised one first, and this one's effect and limit."""
     beyond = [one for one in found if not one.passed]
     for first in governing(beyond):
         own = [one for one in beyond if (one.state, one.what) == (first.state, first.what)]
@@ -130,15 +143,28 @@ def _excess(found: Sequence[Judged]) -> Iterator[str]:
             most.setdefault(one.member, one)
         every = {one.member for one in found if (one.state, one.what) == (first.state, first.what)}
         name, of = NAMES[first.what]
-        members = [f"{one.member or WHOLE} {per_cent(one.share)} ({one.case})"
+        shares = {one.member: "" if one.what in LEAST else f" {per_cent(one.share)}" for one in own}
+        members = [f"{one.member or WHOLE}{shares[one.member]} ({one.case})"
                    for one in most.values()]  # fmt: skip
         where = f"{first.state}: " if first.state else ""
         count = f", {len(most)} of {len(every)}" if len(every) > 1 else ""
-        side = "below" if first.what in LEAST else "beyond"
-        yield f"{where}{name}{count} {side} the limit: {listed(members)} {of}."
+        side, of = ("below", "") if first.what in LEAST else ("beyond", of)
+        at = "" if first.at is None else f" at x; y; z = {place(first.at, size)}"
+        effect, limit = (with_unit(first.what, x, units) for x in (first.effect, first.limit))
+        yield (
+            f"{where}{name}{count} {side} the limit: {listed(members)}{of}; {effect}{at}, "
+            f"limit {limit}."
+        )
 
 
-def _rain(cases: Sequence[Case], size: float) -> Iterator[str]:
+def with_unit(what: str, value: float, units: Units) -> str:
+    """An effect or limit of a kind of check with its unit; the strain in per cent."""
+    kind = KINDS.get(what, "")
+    unit = {"": " %", "angle": "°"}.get(kind) or units.plain(kind)
+    return f"{number(value if kind else 100.0 * value)}{unit}"
+
+
+def _rain(cases: Sequence[Case], size: float, units: Units) -> Iterator[str]:
     """Note on where rain would stand."""
     wet = [case for case in cases if case.summary.hollows]
     if wet:
@@ -146,8 +172,8 @@ def _rain(cases: Sequence[Case], size: float) -> Iterator[str]:
         deepest = most.summary.hollows[0]
         yield (
             f"Rain would stand in {len(wet)} of {len(cases)} combinations, up to "
-            f"{number(deepest.depth)} deep at x; y; z = {place(deepest.at, size)} ({most.name}): "
-            "check the roof for ponding."
+            f"{shown(units.exact(deepest.depth))}{units.plain('length')} deep at x; y; z = "
+            f"{place(deepest.at, size)} ({most.name}): check the roof for ponding."
         )
 
 
