@@ -8,7 +8,8 @@ the gradients n of the shape function there, the force on X is Eshelby's (Phil. 
     sum A (phi n - F^T P n),    P = F S,
 
 here from the final places; where the membrane is held and its place follows X, the forces on the
-place are added. Divided by the cable's contact forces it is the part of them that is unbalanced.
+place are added, and friction along the cable, pulled back by the mean F. Divided by the cable's
+contact forces it is the part of them that is unbalanced.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from crms_fenicsx.analysis.verification.cable_forces import FLAT, is_tense
 from crms_fenicsx.cabling.cables.numbering import CableNumbering
 from crms_fenicsx.cabling.cables.points_on_edges import VERTEX
 from crms_fenicsx.cabling.cables.strip import StripShape
-from crms_fenicsx.cabling.contact.contact_force import contact_forces, forces_at
+from crms_fenicsx.cabling.contact.contact_force import cable_over, contact_forces, forces_at
 from crms_fenicsx.cabling.paths.held_vertices import along_boundary
 from crms_fenicsx.foundation.meshes.triangles import norm
 from crms_fenicsx.foundation.runtime.arrays import Array, Integers, ints
@@ -61,6 +62,7 @@ def row_checks(
         np.subtract.at(forces, at[c][1], pulls[c][at[c][0]] * numbering.shifts.held[at[c][1], None])
         grip[c] = _bounds(cable, shape)
         np.add.at(bounds, at[c][1], grip[c][at[c][0]])
+        np.add.at(forces, at[c][1], _rubbing(cable, at[c][0], shape))
     beyond = np.einsum("mij,mj->mi", numbering.shifts.projectors, forces)
     size = norm(beyond)
     left = np.maximum(size - bounds, 0.0)
@@ -85,6 +87,17 @@ def _pulls(cable: LaidCable) -> Array:
     ways *= (cable.part_tensions / np.maximum(norm(ways), 1e-300))[:, None]
     pulls[contacts[1:-1]] = np.diff(ways, axis=0)
     return pulls
+
+
+def _rubbing(cable: LaidCable, nodes: Integers, shape: StripShape) -> Array:
+    """Friction along a cable at nodes (m,) of its row, as forces (m, 3) on the fabric's places."""
+    grip = cable.state.law.axial
+    if grip is None:
+        return np.zeros((len(nodes), 3))
+    at = np.searchsorted(cable.contacts(), nodes)
+    jumps = np.diff(cable.part_tensions, prepend=0.0, append=0.0)[at]
+    rubs = np.array([cable.state.nodes[k].support in grip.supports for k in nodes], dtype=bool)
+    return np.where(rubs, jumps, 0.0)[:, None] * cable_over(cable, ints(nodes), shape)
 
 
 def _bounds(cable: LaidCable, shape: StripShape) -> Array:

@@ -272,6 +272,22 @@ def edge_directions(cable: LaidCable, nodes: Sequence[int] | Integers, shape: St
     return np.asarray(edge / norm(edge)[:, None])
 
 
+def cable_over(cable: LaidCable, nodes: Sequence[int], shape: StripShape) -> Array:
+    """Length of cable (m, 3) that passes those of `nodes` (m,) that are vertices, as their
+    stress-free places shift: ``F^T t`` with the mean gradient F of the cells around and the mean t
+    of the cable's directions before and after; zero elsewhere and at clamps."""
+    found, ways, cells = np.zeros((len(nodes), 3)), turns(cable), shape.strip.simplices.cells
+    for i, k in enumerate(nodes):
+        if k not in ways or cable.state.nodes[k].kind != "vertex" or k in cable.clamped:
+            continue
+        rows = shape.strip.solid_rows(cable.state.nodes[k].support)
+        X, x = shape.stress_free[cells[rows]], shape.current[cells[rows]]
+        F = np.linalg.pinv(X[:, 1:] - X[:, :1]) @ (x[:, 1:] - x[:, :1])  # transposed
+        mean = np.average(F, axis=0, weights=norm(shape.stress_free_normals[rows]))
+        found[i] = mean @ np.add(*ways[k]) / 2
+    return found
+
+
 def runs(cable: LaidCable) -> list[list[int]]:
     """Nodes of each part of a cable on the membrane, without crossings."""
     parts = itertools.groupby(cable.path_nodes(), key=lambda k: bool(cable.state.lifted[k]))

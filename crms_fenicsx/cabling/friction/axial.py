@@ -23,13 +23,18 @@ from crms_fenicsx.cabling.cables.clamping import bounds_and_slips, held_by_clamp
 from crms_fenicsx.cabling.cables.element_tables import CableTables
 from crms_fenicsx.cabling.cables.numbering import CableNumbering
 from crms_fenicsx.cabling.cables.strip import StripShape
-from crms_fenicsx.cabling.contact.contact_force import edge_directions, held_nodes, turns
+from crms_fenicsx.cabling.contact.contact_force import (
+    cable_over,
+    edge_directions,
+    held_nodes,
+    turns,
+)
 from crms_fenicsx.cabling.contact.lift_off import is_foot
 from crms_fenicsx.cabling.friction.slip import material_place, succession
 from crms_fenicsx.energy.terms.axial_friction import Chains, Grips
 from crms_fenicsx.energy.terms.lateral_friction import coulomb_forces
 from crms_fenicsx.foundation.meshes.triangles import arc_lengths
-from crms_fenicsx.foundation.runtime.arrays import EPSILON, Array
+from crms_fenicsx.foundation.runtime.arrays import EPSILON, Array, ints
 from crms_fenicsx.foundation.surface.points import Support
 from crms_fenicsx.model.friction import AxialFrictionState, MaterialCurve
 from crms_fenicsx.model.laid_cable import LaidCable
@@ -41,11 +46,13 @@ LEAST_PART = 0.01
 
 @dataclass(frozen=True)
 class RestPlaces:
-    """Rest arcs at nodes with axial friction: ``slope * s + offset``, s the edge fraction."""
+    """Rest arcs at nodes with axial friction: ``slope * s + offset``, s the edge fraction, and at
+    vertices ``by_shift . w + offset``, w the shift of the stress-free place."""
 
     nodes: list[int]  # their numbers
     slope: Array  # (n,), with
     offset: Array  # (n,) (length)
+    by_shift: Array  # (n, 3)
     rest: Array  # (n,) at the current places (length)
     size: Array  # (n,) size of the surrounding stress-free cells (length)
 
@@ -131,33 +138,37 @@ def remap_axial(cable: LaidCable) -> None:
 
 
 def reference_arcs(cable: LaidCable, shape: StripShape) -> RestPlaces:
-    """Rest arcs at a cable's nodes, and their slopes along the edges."""
+    """Rest arcs at a cable's nodes, and their slopes along the edges or by shifts."""
     # Moving a fold point along its edge by v moves the cable's material by v . t, with t the mean
     # of the directions before and after; divided by the stretch, this is the slope. Then tensions
     # T1, T2 and friction give the fold point the force (T1 + T2)/2 (t2 - t1) along the edge, which
-    # vanishes on a geodesic, as without friction.
+    # vanishes on a geodesic, as without friction. A vertex whose stress-free place shifts by w
+    # moves over the fabric by F w.
     grip = cable.state.law.axial
     assert grip is not None
     nodes, contacts, direction = gripped_nodes(cable), cable.contacts(), turns(cable)
     places = np.array([material_place(cable, k, shape) for k in nodes]).reshape(-1, 3)
     slope, size = np.zeros((2, len(nodes)))
+    stretch: Array = np.ones(len(nodes))
     for i, k in enumerate(nodes):
         point = cable.state.nodes[k].point
         assert point is not None
         size[i] = shape.stress_free_size(point.support)
-        if cable.state.nodes[k].slides and k in direction:
+        if k in direction:
             at = contacts.index(k)
-            stretch = 1 + cable.part_tensions[at - 1 : at + 1].mean() / cable.cable.EA
+            stretch[i] += cable.part_tensions[at - 1 : at + 1].mean() / cable.cable.EA
+        if k in direction and cable.state.nodes[k].slides:
             parts = (np.linalg.norm(shape.at(v) - cable.state.positions[k]) for v in point.support)
             edge = edge_directions(cable, [k], shape)[0] * float(sum(parts))
-            slope[i] = edge @ np.add(*direction[k]) / (2 * stretch)
+            slope[i] = edge @ np.add(*direction[k]) / (2 * stretch[i])
     rest = _rest_at(grip, places)
     at_clamps = np.isin(nodes, cable.clamped)
     if at_clamps.any():
         assert cable.state.law.parts is not None
         rest[at_clamps] = cable.state.law.parts.at * (cable.L0 + cable.state.law.smoothing_length)
     fractions = np.where(np.isnan(cable.state.fractions[nodes]), 0.0, cable.state.fractions[nodes])
-    return RestPlaces(nodes, slope, rest - slope * fractions, rest, size)
+    by_shift = cable_over(cable, nodes, shape) / stretch[:, None]
+    return RestPlaces(nodes, slope, rest - slope * fractions, by_shift, rest, size)
 
 
 def _rest_at(grip: AxialFrictionState, places: Array) -> Array:
@@ -248,16 +259,19 @@ def chain_table(
     span = [
         first[c] + np.searchsorted(held[c], k, side="right") for c, k in (begins[s] for s in own)
     ]
-    points = [one for one in _fold_points(numbering) if one[1] in held]
+    points = [one for one in _moving_points(numbering) if one[1] in held]
     rows = np.array([numbering.row(c, held[c][i]) for _, c, i in points], dtype=np.int64)
-    edges = numbering.on[rows]
-    pointers, blocks = numbering.lines(edges)
+    folds = numbering.nodes.slides[rows]  # first
+    pointers, blocks = numbering.lines(numbering.on[rows[folds]])
+    shifts = numbering.shift_blocks_at(rows[~folds])
+    pointers = np.append(pointers, pointers[-1] + 1 + np.arange(len(shifts)))
     return Chains(
         np.array([numbering.cables[c].cable.EA for c in held]), starts.astype(np.int64),
         tables.segments[own], tables.eps[own], np.array(span, dtype=np.int32),
-        pointers.astype(np.int32), blocks, (numbering.points.place[rows] + 1).astype(np.int32),
+        pointers.astype(np.int32), np.append(blocks, shifts).astype(np.int32),
+        np.where(folds, numbering.points.place[rows] + 1, 0).astype(np.int32),
         np.array([first[c] - n + i for n, c, i in points], dtype=np.int32),
-        numbering.strip.simplices.owner[edges] == numbering.rank,
+        numbering.strip.simplices.owner[numbering.on[rows]] == numbering.rank,
     )  # fmt: skip
 
 
@@ -274,14 +288,18 @@ def grip_table(numbering: CableNumbering, shape: StripShape) -> Grips:
     def joined(parts: list[Array]) -> Array:
         return np.concatenate([np.zeros(0), *parts])
 
-    bound = joined([grip.bounds for grip in grips])
+    bound, points = joined([grip.bounds for grip in grips]), _moving_points(numbering)
+    by_shift = np.array([places[c].by_shift[i] for _, c, i in points]).reshape(-1, 3)
+    slope = np.array([places[c].slope[i] for _, c, i in points])
+    slope[by_shift.any(axis=1)] = 1.0
     return Grips(
         joined([p.offset for p in places.values()]),
         bound,
         np.where(bound > 0.0, joined([grip.eps for grip in grips]), 1.0),
         np.where(bound > 0.0, joined([grip.elastic for grip in grips]), 1.0),
         joined([grip.slips for grip in grips]),
-        np.array([places[c].slope[i] for _, c, i in _fold_points(numbering)]),
+        slope,
+        by_shift,
     )
 
 
@@ -295,15 +313,23 @@ def clamp_grips(cables: Sequence[LaidCable]) -> Grips:
         rest = cable.L0 * parts.at + np.cumsum(parts.smoothing)[:-1]
         rows.append(np.array([rest, bounds, eps, parts.slips]))
     rest, bounds, eps, slips = np.concatenate(rows, axis=1)
-    return Grips(rest, bounds, eps, eps, slips, np.zeros(0))
+    return Grips(rest, bounds, eps, eps, slips, np.zeros(0), np.zeros((0, 3)))
 
 
-def _fold_points(numbering: CableNumbering) -> list[tuple[int, int, int]]:
-    """Sliding nodes with axial friction on this rank's edges: index of cable, cable, node."""
+def _moving_points(numbering: CableNumbering) -> list[tuple[int, int, int]]:
+    """Nodes with axial friction near this rank's cells that slide on edges, then vertices that
+    shift: index of cable, cable, index of node."""
     near = numbering.strip.simplices.touch(numbering.strip.owner == numbering.rank)
-    return [
-        (n, c, i)
-        for n, (c, nodes) in enumerate(gripped_cables(numbering).items())
-        for i, k in enumerate(nodes)
-        if numbering.cables[c].state.nodes[k].slides and near[numbering.on[numbering.row(c, k)]]
-    ]
+    shifting = set(ints(numbering.shifts.vertices))
+    folds, vertices = [], []
+    for n, (c, nodes) in enumerate(gripped_cables(numbering).items()):
+        cable = numbering.cables[c]
+        for i, k in enumerate(nodes):
+            if not near[numbering.on[numbering.row(c, k)]]:
+                continue
+            node = cable.state.nodes[k]
+            if node.slides:
+                folds.append((n, c, i))
+            elif k not in cable.clamped and node.support[0] in shifting:
+                vertices.append((n, c, i))
+    return folds + vertices

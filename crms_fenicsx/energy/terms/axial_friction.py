@@ -12,7 +12,9 @@ span lengths, which every rank has from the one reduction, they minimise this en
 
 The unstressed arc length at rest at a fold point depends on its position on the edge, as an edge is
 not orthogonal to the cable: ``rest = slope * fraction + offset``. Otherwise axial friction would
-also resist sideways sliding.
+also resist sideways sliding. So does that at a vertex of a row, on the shift w of its stress-free
+place: ``rest = by_shift . w + offset``. Otherwise the lower one of two cables would rub on the
+upper one where they cross, and not on the fabric that slides below both.
 """
 
 from __future__ import annotations
@@ -34,6 +36,7 @@ from crms_fenicsx.energy.terms.segments import (
     edge_fractions,
     segment_lengths,
     segment_stiffness,
+    shift_fractions,
 )
 from crms_fenicsx.energy.terms.term import EnergyTerm
 from crms_fenicsx.foundation.dofs.block_patterns import BlockSink, ElementPattern, SegmentPattern
@@ -54,7 +57,10 @@ class Grips:
     eps: Array
     elastic: Array
     slips: Array  # (n_nodes,) initial guess of the slips (length)
-    slope: Array  # (n,) unstressed arc length by edge fraction, of this rank's fold points (length)
+    # slope, by_shift: unstressed arc length by edge fraction (n,) (length) and by shift (n, 3) of
+    # this rank's fold points and vertices that shift; one and zero of the others
+    slope: Array
+    by_shift: Array
 
 
 @dataclass(frozen=True)
@@ -71,12 +77,13 @@ class Chains:
     smoothing: Array
     span: Indices
     # pointers, blocks, place: blocks along the edges of fold points near this rank's cells, and
-    # position of the fold point among them; see `energy.terms.segments.EdgePoints`
+    # position of the fold point among them; see `energy.terms.segments.EdgePoints`. Of vertices
+    # that shift: the block of the shift
     pointers: Indices
     blocks: Indices
     place: Indices
-    # node, owned: number of each such fold point among all nodes, and whether this rank owns its
-    # edge
+    # node, owned: number of each such point among all nodes, and whether this rank owns its edge
+    # or vertex
     node: Indices
     owned: npt.NDArray[np.bool_]
 
@@ -130,6 +137,9 @@ class CapstanTension(EnergyTerm):
         c, X = self.chains, self.unknowns.X
         segment_lengths(X, x, c.segments, c.smoothing, self._lengths)
         edge_fractions(X, x, c.pointers, c.blocks, c.place, self._fractions, self._gradients)
+        shift_fractions(
+            x, c.pointers, c.blocks, self.grips.by_shift, self._fractions, self._gradients
+        )
         out[:] = 0.0
         np.add.at(out, c.span, self._lengths)
         own = self.n_spans + c.node[c.owned]
@@ -194,7 +204,7 @@ class CapstanTension(EnergyTerm):
         self._add_rest(np.where(c.owned, -self._force[c.node], 0.0), g)
 
     def _add_rest(self, weights: Array, g: Array) -> None:
-        """Add the weighted gradient of the rest arc lengths of this rank's fold points."""
+        """Add the weighted gradient of the rest arc lengths of this rank's points."""
         c = self.chains
         add_slip_forces(c.pointers, c.blocks, self._gradients, weights * self.grips.slope, g)
 

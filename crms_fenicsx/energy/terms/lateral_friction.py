@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from crms_fenicsx.energy.terms.segments import EdgePoints, EdgePointTerm
+from crms_fenicsx.energy.terms.segments import EdgePoints, EdgePointTerm, shift_fractions
 from crms_fenicsx.foundation.runtime.arrays import Array
 
 
@@ -106,11 +106,7 @@ class LateralFriction(EdgePointTerm):
     def locate(self, x: Array) -> None:
         super().locate(x)
         t = self.table
-        (shifted,) = np.nonzero(np.diff(t.pointers) == 1)
-        if len(shifted):
-            at, across = t.pointers[shifted], t.across[shifted]
-            self._gradients[at] = across
-            self._fractions[shifted] = np.sum(across * x[t.blocks[at]], axis=1)
+        shift_fractions(x, t.pointers, t.blocks, t.across, self._fractions, self._gradients)
 
     def evaluate(self) -> float:
         t = self.table

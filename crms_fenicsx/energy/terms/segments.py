@@ -150,6 +150,17 @@ def edge_fractions(X, x, pointers, blocks, place, fractions, gradients):  # type
                 gradients[q + 1, i] += weight * r
 
 
+def shift_fractions(
+    x: Array, pointers: Indices, blocks: Indices, by_shift: Array, fractions: Array,
+    gradients: Array,
+) -> None:  # fmt: skip
+    """The same for points with a single block, the shift of a vertex, times `by_shift` (n, 3)."""
+    (shifted,) = np.nonzero(np.diff(pointers) == 1)
+    at = pointers[shifted]
+    gradients[at] = by_shift[shifted]
+    fractions[shifted] = np.sum(gradients[at] * x[blocks[at]], axis=1)
+
+
 @numba.njit(cache=True)
 def add_slip_forces(pointers, blocks, gradients, force, g):  # type: ignore[no-untyped-def]
     """Add ``sum force * d(fractions)/dx`` to g, (n_blocks, 3)."""
