@@ -1,7 +1,8 @@
 """A tent on masts and guys
 ========================
 
-A four-point tent from a flat sheet to a report: form finding, masts and guys, snow and wind.
+A four-point tent from a flat sheet to a report: form finding, masts and guys, erection, snow and
+wind.
 
 A sail of PVC-coated polyester (type II) between two high points on masts, 16 m apart, and two low
 points, 14 m apart. Cables of 18 mm run in the edge pockets. Two guys hold each mast, which leans
@@ -37,6 +38,8 @@ BELT = Cable(EA=1500.0)  # two polyester belts of 50 mm
 # Cold-formed steel tube of 168.3 x 8 mm, S235
 MAST = Bar(EA=846e3, EI=2.1e8 * 1.297e-5, strength=947.0, curve="c")
 GUY = Bar(EA=39e3, tension_only=True, strength=170.0)  # spiral strand of 20 mm
+PROP = Bar(EA=224e3, EI=202.0, strength=251.0, curve="c")  # tube of 88.9 x 4 mm
+LOOSE = {"guy": 0.05, "tie": 0.03}  # m by which turnbuckles are open when the tent is raised
 STRENGTHS = (84.0 / 4.0, 80.0 / 4.0)  # fabric, warp and weft
 CABLE_STRENGTH = 140.0
 VIEW = (-72.0, 30.0)
@@ -120,6 +123,43 @@ scene.put_wind(0.5, -0.8, name="uplift")
 scene.put_wind(0.5, coefficient, name="wind along x")
 
 # %%
+# Erection
+# --------
+# The tent is raised on props, with all turnbuckles open. The props go, then guys and ties are
+# tightened one after the other to their lengths in the found form, which the last stage thus
+# reaches. Each stage starts from the one before it, and is in equilibrium under the weight.
+members = {bar.name: bar for bar in scene.bars}
+turnbuckles = [name for name in members if name.startswith(("guy", "tie"))]
+designed = {members[name]: members[name].L0 for name in turnbuckles}
+
+
+def tell(stage):
+    """Print the largest forces."""
+    forces = {kind: max(bar.force for bar in scene.bars if bar.name.startswith(kind))
+              for kind in ("guy", "tie")}  # fmt: skip
+    edge = max(scene.cable(name).tension for name in EDGES)
+    if scene.comm.rank == 0:
+        print(f"{stage:24}  guys {forces['guy']:4.1f}, ties {forces['tie']:4.1f}, "
+              f"edges {edge:4.1f} kN")  # fmt: skip
+
+
+with solver.stage("raised on props"):
+    for corner, (x, y, _) in HIGH.items():
+        foot = (x - 4.0 * np.sign(x), y, 0.0)
+        scene.add_bar(PROP, foot, CORNERS[corner], name=f"prop {corner}")
+    opened = {bar: length + LOOSE[bar.name[:3]] for bar, length in designed.items()}
+    solver.advance(load={"weight": 1.0}, L0=opened)
+tell("raised on props")
+with solver.stage("props removed"):
+    for corner in HIGH:
+        scene.remove_bar(f"prop {corner}")
+tell("props removed")
+for name in turnbuckles:
+    with solver.stage(f"{name} tightened"):
+        solver.advance(L0={members[name]: designed[members[name]]})
+    tell(f"{name} tightened")
+
+# %%
 # Combinations and report
 # -----------------------
 # ``combine`` applies the factored loads of each combination to the prestressed tent.
@@ -134,7 +174,7 @@ combinations = solver.combine(
 )
 solver.report(
     f"{RESULTS}/report.html",
-    combinations,
+    combinations | solver.stages,
     title="Tent on two masts",
     pdf=True,
     about={
