@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -19,9 +19,11 @@ from crms_fenicsx.analysis.scene.state import SceneState
 from crms_fenicsx.analysis.steps.increment_solver import IncrementSolver, Options
 from crms_fenicsx.analysis.steps.load_cases import (
     Combination,
+    branched,
     checked_combinations,
     checked_states,
     combined,
+    staged,
 )
 from crms_fenicsx.analysis.steps.loading import checked_target
 from crms_fenicsx.analysis.steps.movements import Move
@@ -120,6 +122,9 @@ class Solver:
     ----------
     steps : list of Step
         Accepted load steps.
+    stages : dict
+        `Combination` of each `stage` by name, for `judge` and `report`:
+        ``solver.report("tent.html", solver.stages | solver.combine({...}))``.
 
     Raises
     ------
@@ -164,7 +169,8 @@ class Solver:
         self._increments = IncrementSolver(scene, options)
         self.steps: list[Step] = []
         self.case = ""
-        """Name of the branch of the load steps; "" outside branches."""
+        """Name of the branch or stage of the load steps; "" outside."""
+        self.stages: dict[str, Combination] = {}
         self.base: SceneState | None = None
         """State at which the first loads were applied; None before."""
         self._recorder = Recorder(scene, options.results, options.estimate)
@@ -412,8 +418,7 @@ class Solver:
         self._increments.go_back_to(snapshot)
 
     @collective
-    @contextmanager
-    def branch(self, name: Name) -> Iterator[SceneState]:
+    def branch(self, name: Name) -> AbstractContextManager[SceneState]:
         """Run load steps as a branch, and restore the scene's state afterwards. Collective.
 
         Parameters
@@ -437,16 +442,7 @@ class Solver:
         ...     solver.advance(load={"snow": 1.5, "wind": 0.9})
         ...     tensions = [cable.tension for cable in scene.cables]
         """
-        if self.case:
-            raise InputError(
-                f"branch: {name!r} is within the branch {self.case!r}; let that one end first."
-            )
-        base, self.case = self.snapshot(), name
-        try:
-            yield base
-        finally:
-            self.case = ""
-            self.restore(base)
+        return branched(self, name)
 
     @collective
     def combine(
@@ -493,6 +489,46 @@ class Solver:
         >>> max(("snow", "storm"), key=lambda name: found[name].snapshot.tensions["ridge"])
         """
         return combined(self, checked_combinations(self.scene, combinations), steps)
+
+    @collective
+    def stage(self, name: Name, *, state: str = "erection") -> AbstractContextManager[SceneState]:
+        """Change the scene to the next stage of erection, or of a failure. Collective.
+
+        The block begins in the stage before. It may remove or add cables, bars, loads and
+        supports, and call `advance` any number of times; a load step follows at its end if it
+        changed the scene since. The stage is then in `stages`, judged by its limit state; the scene
+        stays in it. After an error the scene is as before the block, and there is no such stage.
+
+        Parameters
+        ----------
+        name
+            Name of the stage, also in the history's column "case".
+        state
+            Limit state that it is for, such as "erection" or "accidental".
+
+        Yields
+        ------
+        SceneState
+            The state before, from which displacements in the stage are measured.
+
+        Raises
+        ------
+        InputError
+            On all ranks: an unknown limit state, one without its design strength
+            (`codes.FabricDesign`), a name given before, or a stage within a branch or stage.
+        ConvergenceError
+            The stage has no equilibrium; the message names it.
+
+        Examples
+        --------
+        >>> with solver.stage("ridge tightened"):
+        ...     solver.advance(L0={ridge: 0.995 * ridge.L0})
+        >>> with solver.stage("ridge removed"):
+        ...     scene.remove("ridge")
+        >>> list(solver.stages)
+        ['ridge tightened', 'ridge removed']
+        """
+        return staged(self, name, state)
 
     @collective
     def check_ponding(self, rain: Positive, *, weight: Positive = 10.0) -> PondingCheck:
@@ -687,7 +723,7 @@ class Solver:
         Parameters
         ----------
         combinations
-            Result of `combine`.
+            Result of `combine`, or `stages`.
 
         Returns
         -------
@@ -880,7 +916,8 @@ class Solver:
             Name of the page, ending in .html. Older files are replaced once all new ones are
             complete.
         combinations
-            Result of `combine`; by default the current state alone.
+            Result of `combine`, or `stages`, or both, ``solver.stages | found``; stages have a
+            chapter of their own. By default the current state alone.
         **options
             ``title``: heading. ``about``: names and texts below it; "Office", "Project", "Author",
             "Checker", "Revision" and "Date" also in the PDF's head and signatures. ``basis``:

@@ -1,7 +1,8 @@
 """A tent on masts and guys
 ========================
 
-A four-point tent from a flat sheet to a report: form finding, masts and guys, snow and wind.
+A four-point tent from a flat sheet to a report: form finding, masts and guys, erection, snow and
+wind.
 
 A sail of PVC-coated polyester (type II) between two high points on masts, 16 m apart, and two low
 points, 14 m apart. Cables of 18 mm run in the edge pockets. Two guys hold each mast, which leans
@@ -36,6 +37,8 @@ EDGE_CABLE = Cable(EA=31.5e3)  # spiral strand of 18 mm
 BELT = Cable(EA=1500.0)  # two polyester belts of 50 mm
 MAST = codes.steel_bar("CHS 168.3x8", 235e3, curve="c")  # cold-formed, S235
 GUY = Bar(EA=39e3, tension_only=True, strength=170.0, section="spiral strand of 20 mm")
+PROP = codes.steel_bar("CHS 88.9x4", 235e3, curve="c")
+LOOSE = {"guy": 0.05, "tie": 0.03}  # m by which turnbuckles are open when the tent is raised
 STRENGTHS = (84.0 / 4.0, 80.0 / 4.0)  # fabric, warp and weft
 EDGE_DESIGN = codes.CableDesign(breaking=210.0)
 BELT_STRENGTH = 2 * 70.0 / 4.0
@@ -122,6 +125,43 @@ scene.put_wind(0.5, -0.8, name="uplift")
 scene.put_wind(0.5, coefficient, name="wind along x")
 
 # %%
+# Erection
+# --------
+# The tent is raised on props, with all turnbuckles open. The props go, then guys and ties are
+# tightened one after the other to their lengths in the found form, which the last stage thus
+# reaches. Each stage starts from the one before it, and is in equilibrium under the weight.
+members = {bar.name: bar for bar in scene.bars}
+turnbuckles = [name for name in members if name.startswith(("guy", "tie"))]
+designed = {members[name]: members[name].L0 for name in turnbuckles}
+
+
+def tell(stage):
+    """Print the largest forces."""
+    forces = {kind: max(bar.force for bar in scene.bars if bar.name.startswith(kind))
+              for kind in ("guy", "tie")}  # fmt: skip
+    edge = max(scene.cable(name).tension for name in EDGES)
+    if scene.comm.rank == 0:
+        print(f"{stage:24}  guys {forces['guy']:4.1f}, ties {forces['tie']:4.1f}, "
+              f"edges {edge:4.1f} kN")  # fmt: skip
+
+
+with solver.stage("raised on props"):
+    for corner, (x, y, _) in HIGH.items():
+        foot = (x - 4.0 * np.sign(x), y, 0.0)
+        scene.add_bar(PROP, foot, CORNERS[corner], name=f"prop {corner}")
+    opened = {bar: length + LOOSE[bar.name[:3]] for bar, length in designed.items()}
+    solver.advance(load={"weight": 1.0}, L0=opened)
+tell("raised on props")
+with solver.stage("props removed"):
+    for corner in HIGH:
+        scene.remove_bar(f"prop {corner}")
+tell("props removed")
+for name in turnbuckles:
+    with solver.stage(f"{name} tightened"):
+        solver.advance(L0={members[name]: designed[members[name]]})
+    tell(f"{name} tightened")
+
+# %%
 # Combinations and report
 # -----------------------
 # ``combine`` applies the factored loads of each combination to the prestressed tent.
@@ -136,7 +176,7 @@ combinations = solver.combine(
 )
 solver.report(
     f"{RESULTS}/report.html",
-    combinations,
+    combinations | solver.stages,
     title="Tent on two masts",
     pdf=True,
     about={

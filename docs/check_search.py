@@ -30,6 +30,7 @@ FIRST = {
     "docker": "how_to/dolfinx",
     "dynamic": "not_there",
     "edge cable": "how_to/edges",
+    "erection": "how_to/erection",
     "error": "how_to/error",
     "eurocode": "how_to/codes",
     "export dxf": "how_to/files",

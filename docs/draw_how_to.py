@@ -173,6 +173,19 @@ def with_water(names: Names, file: str) -> None:
     solver.restore(before)
 
 
+def at_stage(stage: str) -> Draw:
+    """The forces of cables and bars at a stage of erection."""
+
+    def draw(names: Names, file: str) -> None:
+        solver, before = names["solver"], names["solver"].snapshot()
+        solver.restore(solver.stages[stage].snapshot)
+        look = HALF | {"line_limits": (-80.0, 80.0), "view": (-65.0, 25.0)}
+        solver.draw(file, title=stage, **look)
+        solver.restore(before)
+
+    return draw
+
+
 def roll(names: Names, file: str) -> None:
     """The pieces on the roll, which is long."""
     names["patterns"].draw_sheets(names["pattern"], file, names["sheet"], unit="m")
@@ -249,6 +262,7 @@ DRAWN: dict[str, dict[str, tuple[int, Draw]]] = {
         )
     },
     "limit_states": {},
+    "erection": {"stages": (1, beside(at_stage("raised on a prop"), at_stage("guy 2 tightened")))},
     "rain": {
         "hollow": (
             1,

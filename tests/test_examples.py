@@ -31,7 +31,7 @@ LEFT_OUT = {
 
 LOADED = """
 codes.combinations output.write_vtkhdf FanControl Scene.seal analysis.scene.loads.Air.seal
-Solver.branch Solver.combine Solver.sensitivities
+Solver.branch Solver.combine Solver.sensitivities Solver.stage
 """
 LOADS = """
 winds = ("wind", "wind x", "wind y", "wind along x", "summer wind")

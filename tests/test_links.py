@@ -22,7 +22,7 @@ LINK = re.compile(r"(!?)\[([^\]]*)\]\(([^)\s]+)(?: +\"[^\"]*\")?\)")
 TAG = re.compile(r"<(?:img|a|source)\b[^>]*? (?:src|href|srcset)=\"([^\"]+)\"")
 FILE = re.compile(r"`((?:demos|benchmarks|tests|docs|meshes)/[\w/.]+\.\w+)`")
 PICTURES = {".png", ".svg", ".jpg", ".gif"}
-KNOWN = {"comm", "energies", "steps", "history"}
+KNOWN = {"comm", "energies", "stages", "steps", "history"}
 """Attributes of scenes and solvers that they make when they are made."""
 
 DIRECTIVES = {

@@ -123,7 +123,7 @@ def test_lengths_for_tensions(comm) -> None:
         nets.tune(solver, {a: 3e6, b: b.tension})  # a negative length comes first
     assert "advance" in str(one.value.__cause__)
     assert [a.L0, b.L0, scene.energy] == before
-    with pytest.raises(InputError, match="'c' is slack"):
+    with pytest.raises(InputError, match="'c' is not in tension"):
         solver.scene.lay_cable(Cable(1e3), [(0.0, 2.0), (10.0, 2.0)], L0=14.0, name="c")
         nets.tune(solver, {a: 20.0, scene.cable("c"): 1.0})
     with pytest.raises(InputError, match=r"tension of 'a' = -1\.0"):
@@ -131,6 +131,22 @@ def test_lengths_for_tensions(comm) -> None:
     with pytest.raises(InputError, match="'x' is not a cable"):
         nets.tune(solver, {"x": 1.0})
     assert [a.L0, b.L0, scene.energy] == before
+
+
+@pytest.mark.ranks
+def test_guys_are_tuned_to_tensions(comm) -> None:
+    """Both at once, to lengths that give these tensions by Hooke's law."""
+    scene = sheet(comm, 2, material=FABRIC, side=1.0)
+    top = scene.add_joint((20.0, 0.0, 6.0))
+    feet = [(20.0, 0.0, 0.0), (25.0, 0.0, 0.0), (17.0, 4.0, 0.0), (17.0, -4.0, 0.0)]
+    mast, one, two, _ = (scene.add_bar(Bar(EA=1e4), foot, top) for foot in feet)
+    solver = advanced(Solver(scene), L0={one: 0.99 * one.L0})
+    lengths = nets.tune(solver, {one: 30.0, two: 25.0})
+    assert lengths == {one: one.L0, two: two.L0}
+    np.testing.assert_allclose([one.force, two.force], [30.0, 25.0], rtol=1e-4)
+    assert one.length / one.L0 - 1 == pytest.approx(30.0 / 1e4, rel=1e-4)
+    with pytest.raises(InputError, match="is not in tension"):
+        nets.tune(solver, {mast: 1.0})
 
 
 @pytest.mark.ranks

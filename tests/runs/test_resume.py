@@ -276,6 +276,43 @@ def test_a_step_that_has_failed_fails_again(folder: Path, solves: list[float]) -
     assert not solves
 
 
+def test_killed_within_a_stage(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, solves: list[float]
+) -> None:
+    """What was done is not computed again; stages have their states, names and limit states."""
+
+    def run(place: Path, resume: bool) -> Solver:
+        scene = scene_of()
+        scene.fix("boundary")
+        solver = Solver(scene, results=place, resume=resume)
+        with solver.stage("inflated"):
+            solver.advance(pressure=0.01, steps=2)
+        with solver.stage("A1 tightened"):
+            cable = scene.lay_cable(Cable(9000.0), [(0, 33), (100, 41)], tension=15.0, name="A1")
+            solver.advance()
+            solver.advance(L0={cable: 0.995 * cable.L0})
+        with solver.stage("A1 away"):
+            scene.remove("A1")
+        return solver
+
+    whole = run(folder / "whole", False)
+    COMM.barrier()
+    for count in (1, 3, 4) if COMM.size == 1 else (3,):
+        place = folder / str(count)
+        killed(monkeypatch, count, lambda place=place: run(place, False))
+        solves.clear()
+        again = run(place, True)
+        assert len(solves) == 5 - count
+        assert list(again.stages) == list(whole.stages)
+        for one, known in zip(again.stages.values(), whole.stages.values(), strict=True):
+            assert (one.stage, one.state) == (known.stage, "erection")
+            assert one.step.energy == pytest.approx(known.step.energy, rel=1e-6)
+            assert one.snapshot.tensions == pytest.approx(known.snapshot.tensions, rel=1e-6)
+        COMM.barrier()
+        cases = History.read(place / "history.csv")["case"]
+        assert list(cases) == ["inflated"] * 2 + ["A1 tightened"] * 2 + ["A1 away"]
+
+
 def test_halved_increments_go_on(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Interrupted between two halves of an increment."""
     whole, bad = EquilibriumSearch.find, []

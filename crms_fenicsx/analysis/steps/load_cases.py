@@ -1,4 +1,4 @@
-"""Load combinations that start from one base state."""
+"""Load combinations that start from one base state, and stages, each from the one before."""
 
 from __future__ import annotations
 
@@ -26,24 +26,27 @@ from crms_fenicsx.model.strengths import AIR, LIMIT_STATES, SERVICE, SETTINGS, a
 
 @dataclass(frozen=True)
 class Combination:
-    """Result of a load combination.
+    """Result of a load combination or a stage of erection.
 
     Attributes
     ----------
     name
-        Name of the combination.
+        Name of the combination or stage.
     step
         Its last load step.
     snapshot
         Final state; pass it to `Solver.restore` to draw it or evaluate results.
     base
-        State that the combination started from: the structure in operation.
+        State that it started from: the structure in operation, or the stage before.
+    stage
+        Number of the stage, from 1; 0 for a combination.
     """
 
     name: str
     step: Step
     snapshot: SceneState
     base: SceneState
+    stage: int = 0
 
     @property
     def state(self) -> str:
@@ -65,6 +68,10 @@ class HasStates(Protocol):
 
 class Combines(HasStates, Protocol):
     """Interface of `Solver` with load steps."""
+
+    case: str
+    steps: list[Step]
+    stages: dict[str, Combination]
 
     def branch(self, name: str) -> AbstractContextManager[SceneState]:
         """Load steps after which the state is restored."""
@@ -149,11 +156,15 @@ def checked_combinations(
             checked_target(scene, load=given.factors, **given.air)
         except InputError as error:
             raise InputError(f"combine: {name!r}: {error}") from None
-        if given.state not in SERVICE:
-            acting = acting_loads(scene.factors | (given.factors or {}))
-            for fabric in scene.membrane.strengths.values():
-                fabric.check_loads(f"combine: {name!r}", given.state, acting)
+        _check_strengths(scene, f"combine: {name!r}", given.state, given.factors or {})
     return found
+
+
+def _check_strengths(scene: Scene, call: str, state: str, factors: dict[str, float]) -> None:
+    """Refuse a limit state, or loads with new factors, for which the fabric has no design value."""
+    if state not in SERVICE:
+        for fabric in scene.membrane.strengths.values():
+            fabric.check_loads(call, state, acting_loads(scene.factors | factors))
 
 
 def combined(
@@ -173,6 +184,56 @@ def combined(
                 raise ConvergenceError(f"combination {name!r}: {error}") from None
             found[name] = Combination(name, step, solver.snapshot(), base)
     return found
+
+
+@contextmanager
+def branched(solver: Combines, name: str) -> Iterator[SceneState]:
+    """Load steps after which the state is restored; see `Solver.branch`. Collective."""
+    _check_outermost(solver, "branch", name)
+    base, solver.case = solver.snapshot(), name
+    try:
+        yield base
+    finally:
+        solver.case = ""
+        solver.restore(base)
+
+
+@contextmanager
+def staged(solver: Combines, name: str, state: str) -> Iterator[SceneState]:
+    """Changes and load steps that lead to the next stage; see `Solver.stage`. Collective."""
+    scene, call = solver.scene, f"stage: {name!r}"
+    checks.one_of(f"{call}: state", state, LIMIT_STATES)
+    if name in solver.stages:
+        raise InputError(f"{call} is a stage already; use another name.")
+    _check_outermost(solver, "stage", name)
+    _check_strengths(scene, call, state, {})
+    before, first, solver.case = solver.snapshot(), len(solver.steps), name
+    scene.record(case=LoadCase(state, before))
+    try:
+        yield before
+        if len(solver.steps) == first or not scene.in_equilibrium():
+            solver.advance()
+        _check_strengths(scene, call, state, {})
+    except ConvergenceError as error:
+        solver.restore(before)
+        raise ConvergenceError(
+            f"stage {name!r}: {error} The scene is back in the state before this stage; catch the "
+            "error within the stage to inspect the last equilibrium."
+        ) from None
+    except BaseException:
+        solver.restore(before)
+        raise
+    finally:
+        solver.case = ""
+    number = len(solver.stages) + 1
+    solver.stages[name] = Combination(name, solver.steps[-1], solver.snapshot(), before, number)
+    scene.record(case=LoadCase())  # what follows is judged as usual
+
+
+def _check_outermost(solver: Combines, call: str, name: str) -> None:
+    """Refuse a branch or stage within another."""
+    if solver.case:
+        raise InputError(f"{call}: {name!r} is within {solver.case!r}; let that one end first.")
 
 
 def check_prestress(scene: Scene, call: str) -> None:

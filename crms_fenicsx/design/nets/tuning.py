@@ -1,4 +1,4 @@
-"""Unstressed lengths of cables for prescribed tensions."""
+"""Unstressed lengths of cables and bars for prescribed tensions."""
 
 from __future__ import annotations
 
@@ -11,20 +11,27 @@ from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arguments import Count, Positive, collective
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.foundation.runtime.errors import ConvergenceError, InputError
+from crms_fenicsx.model.bar import PlacedBar
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.versions import last_doubt
 from crms_fenicsx.solver import Solver
+
+Member = LaidCable | PlacedBar
 
 
 class _Ended(Exception):  # noqa: N818 - no error: the end of a search
     """The wanted tensions are reached, or a load step failed, which is then the cause."""
 
 
+def _tension(member: Member) -> float:
+    return member.tension if isinstance(member, LaidCable) else member.force
+
+
 @collective
 def tune(
-    solver: Solver, tensions: Mapping[LaidCable, float], *, rtol: Positive = 1e-4, most: Count = 20
-) -> dict[LaidCable, float]:
-    """Find the unstressed lengths of cables for prescribed tensions under the present loads.
+    solver: Solver, tensions: Mapping[Member, float], *, rtol: Positive = 1e-4, most: Count = 20
+) -> dict[Member, float]:
+    """Find the unstressed lengths of cables and bars for prescribed tensions under the loads.
 
     Collective. By `scipy.optimize.least_squares` with the derivatives of `Solver.sensitivities`.
     Each evaluation is a load step; the last one has the tensions.
@@ -32,9 +39,9 @@ def tune(
     Parameters
     ----------
     solver
-        A `Solver` at an equilibrium in which the cables are in tension.
+        A `Solver` at an equilibrium in which the cables and bars are in tension.
     tensions
-        Tensions by cables (force), mean ones for cables with clamps.
+        Tensions by cables and bars (force), mean ones for cables with clamps.
     rtol
         Largest relative difference.
     most
@@ -43,27 +50,28 @@ def tune(
     Returns
     -------
     dict
-        The new unstressed lengths by cables (length).
+        The new unstressed lengths by cables and bars (length).
 
     Raises
     ------
     InputError
-        On all ranks: no cable of the scene, a tension that is not positive, a slack cable, or
-        tensions that no lengths give; the scene is then restored.
+        On all ranks: no cable or bar of the scene, a tension that is not positive, a slack cable or
+        bar, or tensions that no lengths give; the scene is then restored.
 
     Examples
     --------
     >>> nets.tune(solver, {cable: 40.0 for cable in scene.cables})
     """
     scene = solver.scene
+    members = (*scene.cables, *scene.bars)
     checks.collection("tune: tensions", tensions, Mapping, "{cable: force, ...}", 1)
     for cable, force in tensions.items():
-        if not isinstance(cable, LaidCable) or cable not in scene.cables:
-            raise InputError(f"tune: {cable!r} is not a cable of this scene.")
+        if cable not in members:
+            raise InputError(f"tune: {cable!r} is not a cable or bar of this scene.")
         checks.positive(f"tune: tension of {cable.name!r}", force)
-        if not cable.taut:
-            raise InputError(f"tune: {cable.name!r} is slack; shorten it first.")
-    cables = sorted(tensions, key=scene.cables.index)
+        if not _tension(cable) > 0.0:
+            raise InputError(f"tune: {cable.name!r} is not in tension; shorten it first.")
+    cables = sorted(tensions, key=members.index)
     wanted = np.array([float(tensions[cable]) for cable in cables])
     first = np.array([cable.L0 for cable in cables])
     before = solver.snapshot()
@@ -77,7 +85,7 @@ def tune(
                 solver.advance(L0=dict(zip(cables, shares * first, strict=True)))
             except (ConvergenceError, InputError) as error:  # such as for negative lengths
                 raise _Ended from error
-        found = np.array([cable.tension for cable in cables]) / wanted - 1
+        found = np.array([_tension(cable) for cable in cables]) / wanted - 1
         if np.abs(found).max() <= rtol:
             raise _Ended
         return found
@@ -97,7 +105,7 @@ def tune(
         except InputError:  # there are no derivatives
             solver.restore(before)
             raise
-        reached = np.array([cable.tension for cable in cables])
+        reached = np.array([_tension(cable) for cable in cables])
         k = int(np.abs(reached / wanted - 1).argmax())
         solver.restore(before)
         raise InputError(

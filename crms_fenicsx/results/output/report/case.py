@@ -50,6 +50,7 @@ class Case:
     # on the first rank: pictures, and the interactive page
     pictures: tuple[Figure, ...] = ()
     view: str = ""
+    stage: int = 0  # number of the stage of erection; 0 for a combination
 
 
 def case_of(solver: Solved, name: str, before: Shape) -> Case:

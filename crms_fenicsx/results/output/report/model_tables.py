@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import platform
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from datetime import datetime, timezone
 from typing import Any
@@ -126,8 +126,8 @@ STATE = {
 """Tables whose listed columns depend on the state."""
 
 
-def merged(models: Mapping[str, Model]) -> Model:
-    """One model from the models of the combinations."""
+def merged(models: Mapping[str, Model], stages: Collection[str] = ()) -> Model:
+    """One model from the models of the combinations, with what is other in stages of erection."""
     first = next(iter(models.values()))
     tables = dict(first.tables)
     for key, of_state in STATE.items():
@@ -136,7 +136,9 @@ def merged(models: Mapping[str, Model]) -> Model:
             for row in model.tables[key].rows:
                 others, known = found.setdefault(row[0], (names, row))
                 a, b = ([x for k, x in enumerate(one) if k not in of_state] for one in (known, row))
-                if a != b:
+                if a != b and names in stages:
+                    found[(row[0], *b)] = names, (f"{row[0]}, {names}", *row[1:])
+                elif a != b:
                     raise InputError(
                         f"report: the {key} of the combinations {others} and {names} differ: "
                         f"{tuple(a)} and {tuple(b)}; write a report of its own for each model."

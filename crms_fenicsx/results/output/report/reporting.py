@@ -163,15 +163,18 @@ def results_of(solver: Solved, states: Mapping[str, Combination]) -> list[Case]:
         return [case_of(solver, NOW, before)]
     shapes = dict[int, Shape]()
     with back_to_now(solver):
-        for name, one in states.items():
+        for name, one in _stages_last(states).items():
             if id(one.base) not in shapes:
                 solver.restore(one.base)
                 shapes[id(one.base)] = shape_of(solver.scene)
-                if not cases and BASE not in states:
-                    cases.append(case_of(solver, BASE, shapes[id(one.base)]))
+                if not cases and not one.stage and BASE not in states:
+                    # of no limit state, also where it is a stage of erection
+                    cases.append(replace(case_of(solver, BASE, shapes[id(one.base)]), state=""))
             solver.restore(one.snapshot)
-            cases.append(case_of(solver, name, shapes[id(one.base)]))
-    base, acting = cases[0], [(one.summary.pressure, one.summary.factors) for one in cases]
+            case = case_of(solver, name, shapes[id(one.base)])
+            cases.append(replace(case, stage=one.stage))
+    combined = [one.summary for one in cases if not one.stage or one is cases[0]]
+    base, acting = cases[0], [(one.pressure, one.factors) for one in combined]
     known = base.name == BASE and acting[0] not in acting[1:] and base.summary.in_equilibrium
     return cases if known or base.name != BASE else cases[1:]
 
@@ -182,14 +185,16 @@ def drawn(
 ) -> list[Case]:  # fmt: skip
     """The cases with pictures in the colour scales of `every` case. Collective."""
     found, colours = [], plan.pictures or ()
-    own = pictured(every, colours)
+    own = pictured([case for case in every if not case.stage], colours)
+    own |= {case.name: list(colours[:1]) for case in every if case.stage}
     with back_to_now(solver):
         for case in cases:
             if states:
                 one = states.get(case.name)
-                first = next(iter(states.values()))
+                first = next(iter(_stages_last(states).values()))
                 solver.restore(first.base if one is None else one.snapshot)
-            shown = with_pictures(solver, case, every, own.get(case.name, ()), plan.look)
+            alike = [one for one in every if bool(one.stage) == bool(case.stage)]
+            shown = with_pictures(solver, case, alike, own.get(case.name, ()), plan.look)
             if plan.interactive:
                 shown = with_view(solver, shown, every, colours, plan.units)
             found.append(shown)
@@ -197,7 +202,8 @@ def drawn(
 
 
 def model_of(solver: Solved, plan: Plan, states: Mapping[str, Combination]) -> Model:
-    """The model in the combinations' base states, or the current one. Collective."""
+    """The model in the combinations' base states and after the stages of erection, or the current
+    one. Collective."""
     base, now = solver.base, solver.scene.versions.current
     if not states:
         model = model_of_scene(solver.scene, plan.units)
@@ -207,21 +213,32 @@ def model_of(solver: Solved, plan: Plan, states: Mapping[str, Combination]) -> M
             solver.restore(base)
             return _pictured(solver, plan, model, "The model in its base state, before its loads")
     names = dict[int, list[str]]()
-    for name, one in states.items():
+    combined = {name: one for name, one in states.items() if not one.stage}
+    for name, one in combined.items():
         names.setdefault(one.base.version.model_version, []).append(name)
-    first = next(iter(states.values())).base
-    alike = [name for name, one in states.items() if one.base.version == first.version]
-    caption = "The model in its base state"
-    if len(alike) < len(states):
-        caption = f"The model in the base state of {', '.join(alike)}"
+    first, caption = next(iter(combined.values()), None), "The model in its base state"
+    stages = sorted(states.keys() - combined.keys(), key=lambda name: -states[name].stage)
+    if first is None:
+        shown, caption = states[stages[0]].snapshot, f"The model after {stages[0]}"
+    else:
+        shown = first.base
+        alike = [name for name, one in combined.items() if one.base.version == shown.version]
+        if len(alike) < len(combined):
+            caption = f"The model in the base state of {', '.join(alike)}"
     with back_to_now(solver):
         models = {}
-        for own in names.values():
-            solver.restore(states[own[0]].base)
+        for own in [*names.values(), *([name] for name in stages)]:
+            one = states[own[0]]
+            solver.restore(one.snapshot if one.stage else one.base)
             models[", ".join(own)] = model_of_scene(solver.scene, plan.units)
-        model = merged(models)
-        solver.restore(first)
+        model = merged(models, stages)
+        solver.restore(shown)
         return _pictured(solver, plan, model, caption)
+
+
+def _stages_last(states: Mapping[str, Combination]) -> dict[str, Combination]:
+    """Combinations, then stages of erection, both in their order."""
+    return dict(sorted(states.items(), key=lambda one: one[1].stage))
 
 
 def _pictured(solver: Solved, plan: Plan, model: Model, caption: str) -> Model:

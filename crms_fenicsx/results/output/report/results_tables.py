@@ -71,7 +71,8 @@ class ResultTables:
 
     def factors(self, pressure: float, factors: Mapping[str, float]) -> Table:
         """Pressure and load factors of the cases and the base state."""
-        every = [(case.name, case.summary.pressure, case.summary.factors) for case in self.cases]
+        acting = [(case.name, case.summary.pressure, case.summary.factors) for case in self.cases]
+        every = [one for one, case in zip(acting, self.cases, strict=True) if not case.stage]
         divided = {
             case.name: max(one.divisor for one in case.summary.design.values())
             for case in self.cases
@@ -79,17 +80,20 @@ class ResultTables:
         }
         reduced = any(x != 1.0 for x in divided.values())
         base = [one for one in every if one[1] == pressure and one[2] == factors]
-        if not base:
+        if every and not base:
             base = [("base state", pressure, factors)]
         every = base + [one for one in every if one not in base]
+        first = 1 if len(every) == 1 and base[0][0] != "base state" else 0
+        codes = [f"LC{k}" for k in range(first, len(every) + first)]
+        codes += [f"S{case.stage}" for case in self.cases if case.stage]
+        every += [one for one, case in zip(acting, self.cases, strict=True) if case.stage]
         loads = list(dict.fromkeys(load for _, _, known in every for load in known))
         pressed = any(p for _, p, _ in every)
-        first = 0 if len(every) > 1 or every[0][0] == "base state" else 1
         of = {case.name: case for case in self.cases}
         tight = any(case.prestress != 1.0 for case in self.cases)
         rows: list[Row] = [
             (
-                f"LC{k}",
+                code,
                 "base state" if name == BASE else name,
                 of[name].state if name in of else None,
                 of[name].prestress if name in of and tight else None,
@@ -98,7 +102,7 @@ class ResultTables:
                 *(known.get(load) or None for load in loads),
                 divided.get(name) if reduced else None,
             )
-            for k, (name, p, known) in enumerate(every, first)
+            for code, (name, p, known) in zip(codes, every, strict=True)
         ]
         columns = self.units.headings(
             "Case|Combination|Limit state|Prestress|Without|Inner pressure{pressure}"

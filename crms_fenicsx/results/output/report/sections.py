@@ -13,6 +13,7 @@ from crms_fenicsx.model.strengths import LIMIT_STATES
 from crms_fenicsx.results.cable_order import Order
 from crms_fenicsx.results.output.report.case import BASE, Case
 from crms_fenicsx.results.output.report.design_tables import alike, fabric_values
+from crms_fenicsx.results.output.report.erection import by_stage, erection
 from crms_fenicsx.results.output.report.foundation_tables import (
     FoundationTables,
     anchors,
@@ -91,9 +92,9 @@ NOTES = (
     "strengths.",
     "Slack and wrinkled shares are parts of the stress-free area: a wrinkled triangle is in "
     "tension in one direction only, a slack one in none.",
-    "Deflections are displacements from the base state LC0, or from the stress-free shape where "
-    "named so. Forces on the rim per length are those of each vertex over the length of held edges "
-    "that belongs to it; they include the forces of cables that pass over the rim.",
+    "Deflections are displacements from the base state LC0, of stages from the one before, or from "
+    "the stress-free shape where named so. Forces on the rim per length are those of each vertex "
+    "over the length of held edges that belongs to it, with those of cables that pass over it.",
     "Loads of fixed direction, such as weight and snow, keep their forces as the shape changes; "
     "wind and inner pressure stay normal to the surface.",
     "Contact forces of cables are those along the membrane's normal, per length of cable, smoothed "
@@ -212,6 +213,7 @@ class Report:
             *self._membrane(),
             *self._members(),
             *self._foundations(),
+            *erection(self.results, self.held, plan.strain_limit, self.factors),
             *plan.sections,
             PageSection("Verification", [
                 Paragraph(CHECKED), verdicts(self.cases), nearest_to_limits(self.cases)
@@ -295,6 +297,7 @@ class Report:
         ]
         found += [self._governing(), self.held.lines(), self.held.balance()]
         found.append(verification(self.cases))
+        found += by_stage(of, self.held, self.plan.strain_limit, self.factors)
         if of.names("cables"):
             found += [of.cables(), of.cable_envelope(), anchors(of)]
         if of.names("bars"):
@@ -353,9 +356,9 @@ class Report:
         found.append(
             PageSection("Drainage", [Paragraph(PONDING), ponds] if ponds.rows else [dry], 3)
         )
-        figures = [one for case in self.cases for one in case.pictures]
+        figures = [one for case in self.cases if not case.stage for one in case.pictures]
         same = "Colours have the same scale in all combinations." if several else ""
-        if len({case.name for case in self.cases if case.pictures}) < len(self.cases):
+        if not all(case.stage or case.pictures for case in self.cases):
             same += " Pictures are of the base state and of governing combinations."
         if self.left_out:
             same += f" {self.left_out} pictures are left out, as the page would be too large."
