@@ -28,7 +28,10 @@ def sail(size: float, edge: str) -> Solver:
         stress=3.0,
         fixed=CORNERS,
         lifted=dict.fromkeys(CORNERS[::2], (0.0, 0.0, 2.0)),
-        cables=[FormCable(side, tension=30.0, bonded=edge == "bonded") for side in SIDES],
+        cables=[
+            FormCable(side, tension=30.0, hold="bonded" if edge == "bonded" else "pocket")
+            for side in SIDES
+        ],
         warp=warp,
     )
     fabric = OrthotropicMembrane(600.0, 600.0, 30.0, 0.4, thickness=1.0, warp=warp)

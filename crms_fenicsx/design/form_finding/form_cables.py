@@ -14,6 +14,7 @@ from crms_fenicsx.foundation.meshes.membrane_mesh import rows_of, vertex_ids
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arrays import Array, Indices, Integers
 from crms_fenicsx.foundation.runtime.errors import InputError, raised_together
+from crms_fenicsx.model.cable import HOLDS, Hold
 from crms_fenicsx.model.membrane import Membrane
 
 
@@ -34,28 +35,30 @@ class FormCable:
         density of one of n equal links.
     length
         L (length); T is found.
-    bonded
-        Whether the scene's cable is bonded to the fabric, as a belt or bolt rope is; otherwise it
-        slides, in a pocket at the rim or in a sleeve inside the membrane.
+    hold
+        Attachment of the scene's cable to the fabric, as in `Scene.lay_cable`: "sleeve", "pocket",
+        "bonded", as belts and bolt ropes are, or "outside", for one that presses on the outer side,
+        such as a valley cable. A cable along the rim that is not bonded lies in a pocket. It does
+        not change the form.
 
     Raises
     ------
     InputError
-        None or several of the three are given, or one is not positive.
+        None or several of the three are given, one is not positive, or an unknown attachment.
 
     Examples
     --------
     >>> FormCable("front", tension=25.0)
-    FormCable(group='front', tension=25.0, force_density=None, length=None, bonded=False)
+    FormCable(group='front', tension=25.0, force_density=None, length=None, hold='sleeve')
     >>> FormCable("left", length=10.5)
-    FormCable(group='left', tension=None, force_density=None, length=10.5, bonded=False)
+    FormCable(group='left', tension=None, force_density=None, length=10.5, hold='sleeve')
     """
 
     group: str
     tension: float | None = None
     force_density: float | None = None
     length: float | None = None
-    bonded: bool = False
+    hold: Hold = "sleeve"
 
     def __post_init__(self) -> None:
         laws = ("tension", "force_density", "length")
@@ -66,6 +69,7 @@ class FormCable:
                 "expected one of tension, force_density and length."
             )
         checks.positive(f"FormCable: {given[0]} of {self.group!r}", getattr(self, given[0]))
+        checks.one_of(f"FormCable: hold of {self.group!r}", self.hold, HOLDS)
 
 
 @dataclass(frozen=True)
@@ -82,15 +86,15 @@ class FormCableFound:
         Length (length).
     path
         Positions of its vertices from end to end (length), (k, 3).
-    bonded
-        Whether it is bonded to the fabric.
+    hold
+        Attachment to the fabric, as given.
     """
 
     name: str
     tension: float
     length: float
     path: Array = field(repr=False)
-    bonded: bool = False
+    hold: Hold = "sleeve"
 
     @property
     def force_density(self) -> float:

@@ -130,9 +130,9 @@ class FoundForm:
         """Make a scene that is in equilibrium from the start. Collective.
 
         Its supports hold, except where bars replace them with the forces that balance the form. Its
-        cables have the tensions found; they lie in pockets at the rim and in sleeves inside, unless
-        they are bonded. The pressure is that of the form. `residual_stress`, if any, becomes an
-        energy term, which the section forces of results include.
+        cables have the tensions found, and are attached to the fabric as their `FormCable` says.
+        The pressure is that of the form. `residual_stress`, if any, becomes an energy term, which
+        the section forces of results include.
 
         Parameters
         ----------
@@ -155,7 +155,8 @@ class FoundForm:
         ------
         InputError
             On all ranks: materials that do not fit or name another warp, a missing or unknown
-            cable, or bars that do not balance the form.
+            cable, one with ``hold="outside"`` from which the fabric pulls away, as from a ridge, or
+            bars that do not balance the form.
 
         Examples
         --------
@@ -178,10 +179,17 @@ class FoundForm:
         if self.deviation > ROUNDING:
             scene.add_term(ResidualStress(scene.u, self.residual_stress))
         for cable in self.cables:
-            scene.lay_cable(
+            laid = scene.lay_cable(
                 kinds[cable.name], cable.path, tension=cable.tension, name=cable.name,
-                hold="bonded" if cable.bonded else "sleeve", measured_on="facets",
+                hold=cable.hold, measured_on="facets",
             )  # fmt: skip
+            if laid.state.lifted.any():
+                place = as_text(laid.state.positions[np.argmax(laid.state.lifted)])
+                raise InputError(
+                    f"FoundForm.scene: the cable {cable.name!r} lies on the outer side, but the "
+                    f"fabric of the form pulls away from it, as at {place}; use a FormCable with "
+                    'hold="sleeve", "pocket" or "bonded".'
+                )
         for cable in self.cables:
             if cable.name in of_belts:
                 name = f"belt {cable.name}"
@@ -228,7 +236,7 @@ class FoundForm:
         for group, directions in self.supports.items():
             membrane.hold(group, directions, new_edges=True)
         cables = edge_lines(membrane, [
-            FormCable(cable.name, tension=cable.tension, bonded=cable.bonded)
+            FormCable(cable.name, tension=cable.tension, hold=cable.hold)
             for cable in self.cables
         ])  # fmt: skip
         pressure = None if self.volume is None else self.pressure
@@ -288,7 +296,7 @@ def found_on(
     deviation = largest / film.largest
     found = tuple(
         FormCableFound(
-            one.cable.group, one.tension, one.length, places_of(membrane, one.ids), one.cable.bonded
+            one.cable.group, one.tension, one.length, places_of(membrane, one.ids), one.cable.hold
         )
         for one in search.lines
     )

@@ -150,7 +150,8 @@ def test_edge_cables_go_with_their_corner(comm: MPI.Intracomm) -> None:
     form = find_form(
         meshes.rectangle(comm, 5.0, 5.0, 1.0), 3.0, fixed=corners,
         lifted={"front left": (0.0, 0.0, 1.0), "back right": (0.0, 0.0, 1.0)},
-        cables=[FormCable(side, tension=20.0, bonded=side == "left") for side in sides],
+        cables=[FormCable(side, tension=20.0, hold="bonded" if side == "left" else "pocket")
+                for side in sides],
     )  # fmt: skip
     way = (0.04, 0.05, -0.03)
     for by_hand in (True, False):

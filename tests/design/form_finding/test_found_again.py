@@ -151,7 +151,10 @@ def tent(comm: MPI.Intracomm, at: np.ndarray, unit: float = 1.0) -> FoundForm:
     """A sail in metres or millimetres at a place, with a bonded edge."""
     a = 10.0 * unit
     mesh = meshes.rectangle(comm, a, a, unit, corner=(at[0], at[1]), structured=True)
-    cables = [FormCable(side, tension=25.0, bonded=side == "left") for side in SIDES]
+    cables = [
+        FormCable(side, tension=25.0, hold="bonded" if side == "left" else "pocket")
+        for side in SIDES
+    ]
     return find_form(
         mesh, 2.0 / unit, fixed=CORNERS, cables=cables,
         lifted=dict.fromkeys(CORNERS[::2], (0.0, 0.0, 3.0 * unit)),
@@ -164,7 +167,7 @@ def test_a_sail_with_edge_cables_and_masts(comm: MPI.Intracomm) -> None:
     form = tent(comm, np.zeros(3))
     cut = form.along(lines_of(form))
     for one, other in zip(form.cables, cut.cables, strict=True):
-        assert (one.name, one.tension, one.bonded) == (other.name, other.tension, other.bonded)
+        assert (one.name, one.tension, one.hold) == (other.name, other.tension, other.hold)
         assert other.length == pytest.approx(one.length, rel=1e-4)
     for corner in CORNERS:
         reaction = form.reactions[corner]

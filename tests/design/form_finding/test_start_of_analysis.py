@@ -22,6 +22,7 @@ from crms_fenicsx import (
     meshes,
 )
 from crms_fenicsx.design.form_finding import FormCable, FoundForm, find_form
+from crms_fenicsx.model.cable import HOLDS, Hold
 from crms_fenicsx.results.output.report.model_tables import model_of_scene
 from crms_fenicsx.results.output.report.page import Units
 from crms_fenicsx.results.quantities import fields_of
@@ -44,16 +45,17 @@ def dome(comm: MPI.Intracomm) -> FoundForm:
     return find_form(meshes.circle(comm, 10.0, 1.5), 2.0, fixed=["boundary"], rise=4.0)
 
 
-def ridge(comm: MPI.Intracomm) -> FoundForm:
-    """A cable inside, between two points of the rim that are lifted with it."""
+def ridge(comm: MPI.Intracomm, hold: Hold = "sleeve", way: float = 1.0) -> FoundForm:
+    """A cable inside, between two points of the rim that are lifted with it, or lowered as those of
+    a valley."""
     points, cells = grid(np.arange(13.0), np.arange(13.0), by_rows=True)
     middle = np.flatnonzero(points[:, 1] == 6.0)
     edges = {"ridge": np.stack([middle[:-1], middle[1:]], 1)}
     mesh = meshes.from_arrays(comm, points, cells, edges=edges)
     return find_form(
-        mesh, 2.0, fixed=["boundary"], cables=[FormCable("ridge", length=12.1)],
+        mesh, 2.0, fixed=["boundary"], cables=[FormCable("ridge", length=12.1, hold=hold)],
         lifted={"boundary": lambda x: np.stack([0 * x[0], 0 * x[0],
-                np.maximum(0.0, 3.0 - 0.5 * np.abs(x[1] - 6.0))])},
+                way * np.maximum(0.0, 3.0 - 0.5 * np.abs(x[1] - 6.0))])},
     )  # fmt: skip
 
 
@@ -105,6 +107,46 @@ def test_the_stresses_are_those_prescribed(comm: MPI.Intracomm) -> None:
         assert form.deviation < 2.5e-3 * size
     assert 1e-8 < moves[-1] < 1e-3
     assert order(sizes, moves) > 0.8
+
+
+@pytest.mark.ranks
+@pytest.mark.parametrize("hold", HOLDS)
+def test_cables_inside_are_attached_as_their_form_says(comm: MPI.Intracomm, hold: Hold) -> None:
+    """The valley moves nothing; a load on one side of it pushes it aside over the fabric unless it
+    is in a pocket or bonded, and its tension is one unless it is bonded. In a pocket it is that of
+    the polyline of its vertices."""
+    form = ridge(comm, hold, -1.0)
+    (found,) = form.cables
+    (cable,) = (scene := form.scene(FOIL, STEEL)).cables
+    assert (found.hold, cable.hold) == (hold, hold)
+    solver = advanced(Solver(scene))
+    moved = comm.allreduce(float(np.abs(scene.u.x.array).max(initial=0.0)), op=MPI.MAX)
+    assert moved < 1e-7 and cable.tension == pytest.approx(found.tension)
+    scene.put_load(lambda x, n: np.stack([0 * x[0], 0 * x[0], -0.5 * (x[1] > 6.0)]), name="snow")
+    solver.advance(load={"snow": 1.0})
+    on = cable.reference_positions[np.isfinite(cable.reference_positions).all(axis=1)]
+    x, y, _ = found.path[found.path[:, 0].argsort()].T
+    aside = np.abs(on[:, 1] - np.interp(on[:, 0], x, y)).max()
+    assert aside > 5e-3 if HOLDS[hold].sideways else aside < 1e-9
+    assert np.ptp(cable.tensions) > 0.1 if hold == "bonded" else np.ptp(cable.tensions) < 1e-9
+    if hold == "pocket":
+        dofs = scene.vertices("ridge")
+        dofs = dofs[dofs < scene.V.dofmap.index_map.size_local]
+        row = np.concatenate(comm.allgather(scene.positions()[dofs]))
+        row = row[row[:, 0].argsort()]
+        length = np.linalg.norm(np.diff(row, axis=0), axis=1).sum()
+        assert cable.tension == pytest.approx(STEEL.EA * (length / cable.L0 - 1.0), rel=1e-6)
+
+
+@pytest.mark.ranks
+def test_fabric_that_pulls_away_is_named(comm: MPI.Intracomm) -> None:
+    """A ridge on the outer side; along another line it keeps its attachment."""
+    with pytest.raises(InputError, match=r"'ridge' lies on the outer side.*\"pocket\""):
+        ridge(comm, "outside").scene(FOIL, STEEL)
+    form = ridge(comm, "pocket").along({"other": [(0.0, 3.0), (12.0, 3.0)]})
+    assert [cable.hold for cable in form.cables] == ["pocket"]
+    with pytest.raises(InputError, match="hold of 'ridge' = 'glued' is not known; use 'outside'"):
+        FormCable("ridge", length=12.1, hold="glued")  # type: ignore[arg-type]
 
 
 @pytest.mark.ranks
