@@ -12,6 +12,7 @@ from crms_fenicsx.foundation.meshes.membrane_mesh import MembraneMesh, outer_fir
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arguments import Positive, checked
 from crms_fenicsx.foundation.runtime.errors import InputError
+from crms_fenicsx.model.tolerances import SAME_VALUE
 
 Strengths = tuple[float, float]
 """Strengths in warp and weft (force per length)."""
@@ -56,10 +57,13 @@ class DesignStrength:
         Characteristic strengths in warp and weft (force per length).
     factors
         Divisors by name, "gamma_M", "k_biax" ...; they multiply.
+    durations
+        Factors k_long of all acting loads, of which that of the leading one counts.
     """
 
     strength: Strengths
     factors: Mapping[str, float] = field(default_factory=dict)
+    durations: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def divisor(self) -> float:
@@ -78,11 +82,14 @@ class DesignStrength:
 class FabricDesign:
     """Design strength of a fabric: f_d = f_k / (gamma_M k_biax k_age k_long k_temp k_size).
 
-    The factors divide, each 1 or more, and multiply. In a combination k_long and k_temp are those
-    of the acting load with the smallest one: strength is lost over a time and at a temperature, so
-    the load that acts for the shortest time decides what is left of it, as with k_mod of EN
-    1995-1-1, 3.1.3(2). The loads that act longer are judged by the combinations without it, which
-    must be in the table, as in that of `codes.combinations`.
+    The factors divide, each 1 or more, and multiply. k_long is that of the leading load: of those
+    that act shorter than "permanent" the one with the largest load factor, of several the shortest.
+    An accompanying load, whose factor is smaller, shortens nothing. Loads that act longer than the
+    leading one are judged by the combinations that they lead, and "permanent" by one without
+    shorter loads; `Solver.judge` names those that are missing.
+
+    k_temp is that of an acting temperature load (whose name begins with "temperature"), else the
+    smallest one of the acting loads: where snow lies, the wind is cold, too.
 
     Parameters
     ----------
@@ -95,8 +102,8 @@ class FabricDesign:
         Factors k_biax of biaxial stress, k_age of weather, and k_size of large panels.
     duration, temperature
         Factors k_long and k_temp by loads, or kinds that names of loads begin with. "permanent"
-        stands for prestress and pressure, which always act; `Solver.combine` refuses
-        combinations with a load that is not named.
+        stands for prestress and pressure, which always act; loads with its k_long do, too.
+        `Solver.combine` refuses combinations with a load that is not named.
 
     Raises
     ------
@@ -106,7 +113,9 @@ class FabricDesign:
     Notes
     -----
     The product is that of CEN/TS 19102 and of the factors A_0 to A_3 of J. Minte (1981), which also
-    apply by load case. No copy was available: it was not compared with a source. Take the values
+    apply by load case. No copy was available: neither it nor the rule for k_long was compared with
+    them. Rules for timber differ: the shortest load decides by EN 1995-1-1, 3.1.3(2), the leading
+    one by the time effect factors of the NDS. The latter never gives more strength. Take the values
     from tests of the fabric.
 
     Examples
@@ -118,6 +127,8 @@ class FabricDesign:
     ... )
     >>> [round(one, 1) for one in fabric.of("ULS", ["snow"]).design]
     [30.3, 28.9]
+    >>> fabric.of("ULS", {"snow": 1.5, "wind": 0.9}).factors["k_long"]
+    1.5
     """
 
     strength: Strengths
@@ -151,26 +162,30 @@ class FabricDesign:
                         f"{1 / value:.3g}."
                     )
 
-    def of(self, state: str, loads: Iterable[str]) -> DesignStrength:
-        """The design strength in a limit state under acting loads, by names.
+    def of(self, state: str, loads: Mapping[str, float] | Iterable[str]) -> DesignStrength:
+        """The design strength in a limit state under acting loads: their factors by names, or the
+        names of loads that all lead.
 
         Raises
         ------
         InputError
             No gamma_M for the limit state, or a load that two names of factors mean.
         """
-        gamma, acting = self.gamma_M, list(loads)
+        gamma = self.gamma_M
+        acting = dict(loads) if isinstance(loads, Mapping) else dict.fromkeys(loads, 1.0)
         if isinstance(gamma, Mapping):
             key = next((one for one in gamma if fits(state, one)), state)
             gamma = checks.named("partial factor gamma_M of the limit state", gamma, key)
         found = {"gamma_M": float(gamma), "k_biax": self.biaxial, "k_age": self.ageing}
-        found["k_long"] = _least("duration", self.duration, acting)
-        found["k_temp"] = _least("temperature", self.temperature, acting)
-        return DesignStrength(self.strength, found | {"k_size": self.size})
+        durations = _by_load("duration", self.duration, acting)
+        found["k_long"] = _of_leading(durations, acting)
+        warmth = _by_load("temperature", self.temperature, acting)
+        known = [k for load, k in warmth.items() if fits(load, "temperature")]
+        found["k_temp"] = max(known) if known else min(warmth.values(), default=1.0)
+        return DesignStrength(self.strength, found | {"k_size": self.size}, durations)
 
-    def check_loads(self, call: str, state: str, loads: Iterable[str]) -> None:
+    def check_loads(self, call: str, state: str, acting: Mapping[str, float]) -> None:
         """Refuse a combination without its design value."""
-        acting = list(loads)
         for name in ("duration", "temperature"):
             given = getattr(self, name)
             unknown = [load for load in acting if not any(fits(load, one) for one in given)]
@@ -216,14 +231,14 @@ class FabricDesign:
         return "\n".join(lines)
 
 
-def acting_loads(given: Mapping[str, Any]) -> list[str]:
-    """Names of the loads with a factor other than 0 in a combination."""
-    return [name for name, factor in given.items() if name not in SETTINGS and factor != 0.0]
+def acting_loads(given: Mapping[str, Any]) -> dict[str, float]:
+    """Factors other than 0 of the loads in a combination, by name."""
+    return {name: x for name, x in given.items() if name not in SETTINGS and x != 0.0}
 
 
-def _least(what: str, given: Mapping[str, float], acting: Iterable[str]) -> float:
-    """The smallest factor of what acts; 1 if there are none at all."""
-    found = [given[PERMANENT]] if PERMANENT in given else []
+def _by_load(what: str, given: Mapping[str, float], acting: Iterable[str]) -> dict[str, float]:
+    """Factors of what acts, by load; none if there are none at all."""
+    found = {PERMANENT: given[PERMANENT]} if PERMANENT in given else {}
     for load in acting:
         own = [name for name in given if name != PERMANENT and fits(load, name)]
         if len(own) > 1:
@@ -231,8 +246,19 @@ def _least(what: str, given: Mapping[str, float], acting: Iterable[str]) -> floa
                 f"FabricDesign: {' and '.join(map(repr, own))} are two {what} factors of the load "
                 f"{load!r}; leave one out."
             )
-        found += [given[name] for name in own]
-    return min(found, default=1.0)
+        if own:
+            found[load] = given[own[0]]
+    return found
+
+
+def _of_leading(durations: Mapping[str, float], acting: Mapping[str, float]) -> float:
+    """k_long of the leading load, of those that act shorter than the permanent ones; without any
+    the largest."""
+    lasting = durations.get(PERMANENT, 1.0)
+    shorter = {load: abs(acting[load]) for load, k in durations.items() if k < lasting}
+    leading = max(shorter.values(), default=0.0) * (1.0 - SAME_VALUE)
+    led = [durations[load] for load, size in shorter.items() if size >= leading]
+    return min(led) if led else max(durations.values(), default=1.0)
 
 
 @checked

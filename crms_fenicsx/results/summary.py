@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -263,7 +263,9 @@ class DesignTable:
         member, in the order of the combinations.
     unjudged
         What has no design value in a combination that strengths judge: "fabric" or "fabric wall" of
-        a part, "cable A1", "bar mast" (of a compressed one also the buckling curve).
+        a part, "cable A1", "bar mast" (of a compressed one also the buckling curve); and fabric
+        under loads that act longer than the leading ones of all their combinations, as "fabric
+        under 'snow' for its k_long = 1.5".
     warnings
         Combinations whose states are doubtful, and the warning, such as of a snap-through.
     """
@@ -284,6 +286,7 @@ class DesignTable:
         rows = sorted(most.values(), key=lambda row: LIMIT_STATES.index(row[0]))
         judged = [one for one in summaries.values() if one.state not in SERVICE]
         without = dict.fromkeys(name for one in judged for name in _without_design(one))
+        without |= dict.fromkeys(_without_duration(judged))
         told = [(name, str(x)) for name, one in summaries.items() for x in one.warnings]
         return cls(tuple(rows), tuple(without), tuple(told))
 
@@ -317,6 +320,18 @@ def _without_design(found: Summary) -> Iterator[str]:
     yield from ["fabric"] if ALL in bare else [f"fabric {name}" for name in bare]
     yield from (f"cable {one.name}" for one in found.cables.values() if one.strength is None)
     yield from (f"bar {one.name}" for one in found.bars.values() if one.utilisation is None)
+
+
+def _without_duration(judged: Iterable[Summary]) -> Iterator[str]:
+    """Loads on the fabric whose duration no combination judges."""
+    due, most = dict[tuple[str, str], float](), dict[tuple[str, str], float]()
+    for part, design in (pair for found in judged for pair in found.design.items()):
+        for load, k in design.durations.items():
+            due[part, load] = k
+            most[part, load] = max(design.factors["k_long"], most.get((part, load), 0.0))
+    for (part, load), k in due.items():
+        if most[part, load] < k:
+            yield f"fabric{f' {part}' * bool(part)} under {load!r} for its k_long = {k:g}"
 
 
 def judged(solver: Solved, combinations: Mapping[str, Combination]) -> DesignTable:

@@ -163,7 +163,7 @@ def test_utilisation() -> None:
     np.testing.assert_allclose(Solver(scene).results().utilisation(), 0.5)  # nothing acts
     scene.loads.replace_each(lambda load: replace(load, factor=0.1))
     results = Solver(scene).results()
-    np.testing.assert_allclose(results.utilisation(), 0.5 * 1.6 / 3.0)  # the shortest counts
+    np.testing.assert_allclose(results.utilisation(), 0.5 * 1.6 / 3.0)  # the shortest of equals
     np.testing.assert_allclose(results.utilisation((12.0, 8.0)), 0.5)
     assert Solver(scene).summary().design[""].divisor == 1.6
     put(scene, lambda x: 0.5 * x)

@@ -32,7 +32,7 @@ COMMON = 1.4 * 1.2 * 1.1 * 1.1
         (["weight", "snow"], 1.5 * 1.0),
         (["weight", "snow drifted"], 1.5 * 1.0),  # by its kind
         (["wind x"], 1.0 * 1.05),
-        # the wind is the shortest, and with snow it is cold
+        # both lead: the wind is the shortest, and with snow it is cold
         (["weight", "snow", "wind x"], 1.0 * 1.0),
     ],
 )
@@ -41,6 +41,68 @@ def test_factors_multiply(loads: list[str], further: float) -> None:
     found = codes.FabricDesign(**FABRIC).of("ULS", loads)
     assert found.divisor == pytest.approx(COMMON * further)
     assert found.design == pytest.approx((84.0 / COMMON / further, 80.0 / COMMON / further))
+
+
+@pytest.mark.parametrize(
+    ("loads", "k_long", "k_temp"),
+    [
+        # the wind leads: a gust, in the cold, whatever lies on the roof
+        ({"weight": 1.35, "wind x": 1.5, "snow": 0.75}, 1.0, 1.0),
+        # the snow leads, and a smaller wind beside it shortens nothing
+        ({"weight": 1.35, "snow": 1.5, "wind x": 0.9}, 1.5, 1.0),
+        ({"weight": 1.2, "wind": 1.0, "snow": 0.3}, 1.0, 1.0),  # ASCE 7-22: the weight is more
+        ({"weight": 1.35, "snow": 1.5, "wind": -1.5}, 1.0, 1.0),  # equals; uplift
+        ({"weight": 1.0, "temperature summer": 1.5}, 1.3, 1.2),  # hot, by its own factor
+        ({"wind": 1.5, "temperature summer": 0.9}, 1.0, 1.2),
+        ({"wind": 1.5, "temperature winter": 0.9}, 1.0, 1.0),
+        ({"weight": 1.35, "storage": 1.5}, 1.9, 1.0),  # longer than what is permanent
+    ],
+)
+def test_the_leading_load_decides(loads: dict[str, float], k_long: float, k_temp: float) -> None:
+    """By hand; not compared with a source for membranes."""
+    fabric = codes.FabricDesign(
+        (84.0, 80.0), gamma_M=1.4,
+        duration={"permanent": 1.7, "weight": 1.7, "snow": 1.5, "temperature": 1.3, "wind": 1.0,
+                  "storage": 1.9},
+        temperature={"permanent": 1.1, "weight": 1.1, "snow": 1.0, "wind": 1.05, "storage": 1.0,
+                     "temperature summer": 1.2, "temperature winter": 1.0},
+    )  # fmt: skip
+    found = fabric.of("ULS", loads)
+    assert (found.factors["k_long"], found.factors["k_temp"]) == (k_long, k_temp)
+    assert found.divisor == pytest.approx(1.4 * k_long * k_temp)
+
+
+def test_durations_that_no_combination_judges(comm: MPI.Intracomm) -> None:
+    """Snow only beside a leading wind, and no state without short loads; all in a full table."""
+    scene = sheet(comm, 4, material=FOIL, side=4.0)
+    for name in ("weight", "snow", "wind"):
+        scene.put_load((0.0, 0.0, -0.1), name=name)
+    scene.set_strengths(
+        codes.FabricDesign(
+            (84.0, 80.0), gamma_M=1.4,
+            duration={"permanent": 1.7, "weight": 1.7, "snow": 1.5, "wind": 1.0},
+        )
+    )  # fmt: skip
+    solver = Solver(scene)
+    solver.advance()
+    storm = {"storm": {"weight": 1.0, "wind": 1.5, "snow": 0.75}}
+    table = solver.judge(solver.combine(storm))
+    assert table.unjudged == tuple(
+        f"fabric under {load!r} for its k_long = {k}"
+        for load, k in (("permanent", 1.7), ("weight", 1.7), ("snow", 1.5))
+    )
+    assert "not judged: fabric under 'permanent'" in repr(table)
+    snow = {"snow": {"weight": 1.0, "snow": 1.5, "wind": 0.9}}
+    assert "snow" not in "".join(solver.judge(solver.combine(storm | snow)).unjudged)
+    full = codes.combinations(codes.en1990, ["weight"], ["snow", "wind"])
+    found = solver.combine(full)
+    judged = solver.judge(found)
+    assert not judged.unjudged
+    # by hand: the fabric under snow, of the larger factors
+    solver.restore(found["ULS: 1.35 weight + 1.5 snow + 0.9 wind"].snapshot)
+    design = solver.summary().design[""]
+    assert design.design[0] == pytest.approx(84.0 / (1.4 * 1.5))
+    assert design.durations == {"permanent": 1.7, "weight": 1.7, "snow": 1.5, "wind": 1.0}
 
 
 def test_the_partial_factor_of_each_limit_state() -> None:
