@@ -113,7 +113,7 @@ def _rows(of: ResultTables, held: FoundationTables, strain: float) -> Iterator[R
     shares = list[dict[str, float]]()
     for case in cases:
         shares.append({})
-        for one in judged([case], strain, of.strengths):
+        for one in judged([case], strain):
             name = _judged(one.what)
             shares[-1][name] = max(one.share, shares[-1].get(name, 0.0))
     for name in dict.fromkeys(_judged(what) for what in NAMES):
