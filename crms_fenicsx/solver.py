@@ -204,7 +204,7 @@ class Solver:
     def advance(
         self,
         *,
-        pressure: float | FanControl | None = None,
+        pressure: float | FanControl | Sequence[FanControl] | None = None,
         move: Mapping[object, Move] | None = None,
         L0: Mapping[object, float] | None = None,
         load: float | Mapping[str, float] | None = None,
@@ -223,7 +223,7 @@ class Solver:
         ----------
         pressure
             Target pressure (force per area), positive outward, or a `FanControl`, with which it
-            follows a load in this call.
+            follows a load in this call, or several, of which the highest pressure counts.
         move
             Displacements (length) during this call, or functions of them (`Rotation`, `Way`), of
             cables (both ends), cable ends (``cable.start``), held joints (``bar.start``) or held

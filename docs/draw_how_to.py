@@ -245,7 +245,7 @@ DRAWN: dict[str, dict[str, tuple[int, Draw]]] = {
     },
     "loads": {
         "loads": (
-            3,
+            4,
             beside(
                 state(**LOAD | {"colour": "load snow by slope", "title": "snow by slope"}),
                 state(**LOAD | {"colour": "load wind", "title": "wind: c_p"}),

@@ -18,7 +18,7 @@ whose derivative by V is minus the gauge pressure P - p_a on the membrane.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,6 +27,7 @@ from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arguments import Name, checked
 from crms_fenicsx.foundation.runtime.arrays import EPSILON
 from crms_fenicsx.foundation.runtime.errors import InputError
+from crms_fenicsx.model.strengths import fits
 
 LEAST = 0.02
 """Volume, relative to that at sealing, below which the pressure is extrapolated linearly: trial
@@ -114,12 +115,14 @@ def _second_order(v: float, exponent: float) -> float:
 class FanControl:
     """Inner pressure as a function of a load factor, as set by the fans of an air hall.
 
-    The pressure is interpolated between the given factors, and constant beyond them.
+    The pressure is interpolated between the given factors, and constant beyond them. Where several
+    are given in a list, the highest pressure counts.
 
     Parameters
     ----------
     load
-        Name of the load.
+        Name of the load, or the kind that names begin with: "wind" means "wind x" and "wind y",
+        too, of which the highest pressure counts.
     factors
         Load factors, increasing.
     pressures
@@ -135,6 +138,9 @@ class FanControl:
     --------
     >>> fans = FanControl("wind", factors=[0.0, 0.5, 1.0], pressures=[0.25, 0.35, 0.5])
     >>> solver.advance(load={"wind": 1.5}, pressure=fans, steps=6)
+    >>> both = [fans, FanControl("snow", factors=[0.0, 0.2], pressures=[0.25, 0.6])]
+    >>> FanControl.highest(both, {"snow": 0.1, "wind x": 0.5})
+    0.425
     """
 
     load: Name
@@ -161,3 +167,20 @@ class FanControl:
     def pressure(self, factor: float) -> float:
         """Pressure (force per area) at a load factor."""
         return float(np.interp(factor, self.factors, self.pressures))
+
+    @staticmethod
+    def highest(controls: Sequence[FanControl], factors: Mapping[str, float]) -> float:
+        """Highest pressure (force per area) of some controls at load factors by name.
+
+        Raises
+        ------
+        InputError
+            No load that a control follows.
+        """
+        found: list[float] = []
+        for one in controls:
+            own = [factor for load, factor in factors.items() if fits(load, one.load)]
+            if not own:
+                checks.named("load", factors, one.load)
+            found += map(one.pressure, own)
+        return max(found)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from types import MappingProxyType
@@ -43,13 +43,13 @@ class _InnerPressure:
     # first, last: pressure at start and end (force per area); with fans, in addition to theirs
     first: float
     last: float
-    fans: FanControl | None = None  # control of the fans, if any
+    fans: tuple[FanControl, ...] = ()  # controls of the fans
     air: tuple[SealedAir, SealedAir] | None = None  # at start and end, if any
 
     @property
     def acts(self) -> bool:
         """Whether there is inner pressure at the end."""
-        return self.last != 0.0 or self.fans is not None or self.air is not None
+        return self.last != 0.0 or bool(self.fans) or self.air is not None
 
     def apply(self, scene: Scene, share: float) -> None:
         """Set the pressure at a share of the step, after the other loads. Collective."""
@@ -61,17 +61,16 @@ class _InnerPressure:
                 atmosphere=between(first.atmosphere, last.atmosphere, share),
             )
             scene.air.update(sealed=sealed, pressure=sealed.pressure(scene.volume))
-        elif self.fans is not None:
-            factor = scene.factors[self.fans.load]
+        elif self.fans:
             rest = between(self.first, self.last, share)
-            scene.air.update(pressure=self.fans.pressure(factor) + rest)
+            scene.air.update(pressure=FanControl.highest(self.fans, scene.factors) + rest)
         else:
             scene.air.update(pressure=between(self.first, self.last, share))
 
 
 def _checked_pressure(
     scene: Scene,
-    pressure: float | FanControl | None,
+    pressure: float | FanControl | Sequence[FanControl] | None,
     temperature: float | None,
     atmosphere: float | None,
 ) -> _InnerPressure:
@@ -95,10 +94,13 @@ def _checked_pressure(
             if value is not None
         }
         return _InnerPressure(scene.pressure, scene.pressure, air=(air, replace(air, **changed)))
-    if isinstance(pressure, FanControl):
-        factor = checks.named("load", scene.factors, pressure.load)
-        offset = scene.pressure - pressure.pressure(factor)
-        return _InnerPressure(offset, 0.0, fans=pressure)
+    if isinstance(pressure, FanControl | Sequence) and not isinstance(pressure, str):
+        fans = (pressure,) if isinstance(pressure, FanControl) else tuple(pressure)
+        checks.collection("advance: pressure", fans, Sequence, "[FanControl(...), ...]", 1)
+        for one in fans:
+            checks.of_type("advance: pressure", one, FanControl)
+        offset = scene.pressure - FanControl.highest(fans, scene.factors)
+        return _InnerPressure(offset, 0.0, fans=fans)
     last = scene.pressure if pressure is None else checks.finite("advance: pressure", pressure)
     return _InnerPressure(scene.pressure, last)
 
@@ -170,7 +172,7 @@ class Target:
 
 def checked_target(
     scene: Scene,
-    pressure: float | FanControl | None = None,
+    pressure: float | FanControl | Sequence[FanControl] | None = None,
     move: Mapping[object, Move] = MappingProxyType({}),
     L0: Mapping[object, float] = MappingProxyType({}),
     load: float | Mapping[str, float] | None = None,

@@ -140,7 +140,7 @@ class SnapThroughSearch:
     def _load_ranges(self) -> dict[str, tuple[float, float]]:
         """First and last value of each changing load, without supports, lengths and sealed air."""
         ways, inner = dict(self.target.factors), self.target.pressure
-        if inner.fans is None and inner.air is None:
+        if not inner.fans and inner.air is None:
             ways["pressure"] = (inner.first, inner.last)
         return {name: way for name, way in ways.items() if way[0] != way[1]}
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
+from typing import Any
 
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arguments import checked
 from crms_fenicsx.foundation.runtime.errors import InputError
+from crms_fenicsx.model.sealed_air import FanControl
 from crms_fenicsx.model.strengths import SERVICE, fits
 
 Psi = tuple[float, float, float]
@@ -78,6 +80,12 @@ ALLOWABLE = {"ASCE 7-16": {"snow": 1.0, "rain": 1.0}, "ASCE 7-22": {"snow": 0.7,
 """Load factors of snow and rain in 2.4.1; of rain as quoted from 7-22 in one place."""
 
 
+Pressure = (
+    Mapping[str, float] | FanControl | Sequence[FanControl] | Callable[[Mapping[str, float]], Any]
+)
+"""Inner pressure by loads, by controls of fans, or by an office's own rule."""
+
+
 @checked
 def combinations(
     rules: CombinationRules,
@@ -86,7 +94,7 @@ def combinations(
     *,
     state: str | Sequence[str] | None = None,
     prestress: Sequence[float] = (1.0,),
-    pressure: Mapping[str, float] | None = None,
+    pressure: Pressure | None = None,
     accidents: Mapping[str, Mapping[str, object]] | None = None,
     also: Mapping[str, object] | None = None,
 ) -> dict[str, dict[str, object]]:
@@ -114,6 +122,9 @@ def combinations(
     pressure
         Inner pressure to which fans rise under loads, by name or kind (force per area): of the
         loads that act the highest one. Other combinations keep the pressure that they start from.
+        Or a `FanControl`, or several, by which the pressure follows the factors in all
+        combinations. Or a rule of your own: a function of the factors of the variable loads that
+        act, by name, which returns a pressure, such a control, or None to keep the pressure.
     accidents
         What happens in the state "accidental", by name, as entries of a combination:
         ``{"A5 torn": {"without": ["A5"]}, "fans fail": {"pressure": 0.0}}``.
@@ -130,8 +141,8 @@ def combinations(
     ------
     InputError
         No rules, an unknown state or kind, no loads at all, a repeated name, a factor or pressure
-        that is not positive, two values for one thing, or accidents without the state
-        "accidental" or the reverse.
+        that is not positive, fans that follow no load here, two values for one thing, or accidents
+        without the state "accidental" or the reverse.
 
     Examples
     --------
@@ -146,16 +157,9 @@ def combinations(
     for one in states:
         checks.one_of(f"combinations: state of {rules.name}", one, rules.states)
     kinds = _kinds(rules, permanent, variable)
-    also, pressure = also or {}, pressure or {}
+    also, fans = also or {}, _rule({} if pressure is None else pressure, kinds)
     checks.collection("combinations: also", also, Mapping, 'also={"temperature": 1.05}')
-    _check_once(also, pressure, accidents or {}, states)
-    for name, value in pressure.items():
-        checks.positive(f"combinations: pressure of {name!r}", value)
-        if not any(fits(load, name) for load in kinds):
-            raise InputError(
-                f"combinations: pressure of {name!r}, but there is no variable load of that name "
-                "or kind."
-            )
+    _check_once(also, pressure is not None, accidents or {}, states)
     checks.collection("combinations: prestress", prestress, Sequence, "prestress=(1.35, 1.0)", 1)
     tight = [checks.positive("combinations: prestress", one) for one in prestress]
     table: dict[str, dict[str, object]] = {}
@@ -173,8 +177,8 @@ def combinations(
                 **named, **{name: 0.0 for name in kinds if name not in factors}, "state": one,
             }  # fmt: skip
             given |= {"prestress": factor} if factor != 1.0 else {}
-            raised = [p for name, p in pressure.items() if any(fits(x, name) for x in factors)]
-            given |= {"pressure": max(raised)} if raised else {}
+            raised = fans(factors)
+            given |= {} if raised is None else {"pressure": raised}
             table[f"{one}: {' + '.join(words) or 'no load'}"] = {**given, **also, **happens[event]}
     return table
 
@@ -183,8 +187,42 @@ PRESTRESSED = ("ULS", "ULS 6.10a/b", "erection", "strength")
 """States with a partial factor of the prestress."""
 
 
+def _rule(
+    pressure: Pressure, kinds: Mapping[str, str]
+) -> Callable[[Mapping[str, float]], object | None]:
+    """Inner pressure as a function of the factors of variable loads."""
+    what = "combinations: pressure"
+    if callable(pressure):
+        return lambda factors: _checked_rule(pressure(dict(factors)), dict(factors))
+    if isinstance(pressure, Mapping):
+        steady = {k: checks.positive(f"{what} of {k!r}", p) for k, p in pressure.items()}
+        names = list(steady)
+    else:
+        example = 'pressure={"snow": 0.6}'
+        fans = (pressure,) if isinstance(pressure, FanControl) else pressure
+        checks.collection(what, fans, Sequence, example, 1)
+        names = [checks.of_type(what, one, FanControl).load for one in fans]
+    for name in names:
+        if not any(fits(load, name) for load in kinds):
+            raise InputError(
+                f"{what} of {name!r}, but there is no variable load of that name or kind."
+            )
+    if not isinstance(pressure, Mapping):
+        return lambda factors: pressure
+    return lambda factors: max(
+        (p for name, p in steady.items() if any(fits(x, name) for x in factors)), default=None
+    )
+
+
+def _checked_rule(found: Any, factors: Mapping[str, float]) -> object | None:
+    """The pressure that a rule of the user returns."""
+    if found is None or isinstance(found, FanControl):
+        return found
+    return checks.positive(f"combinations: the pressure of the rule for {factors}", found)
+
+
 def _check_once(
-    also: Mapping[str, object], pressure: Mapping[str, float],
+    also: Mapping[str, object], pressure: bool,
     accidents: Mapping[str, Mapping[str, object]], states: Sequence[str],
 ) -> None:  # fmt: skip
     """Refuse two values of one thing, and accidents without their state."""

@@ -176,6 +176,40 @@ def test_fans_follow_a_load(comm: MPI.Intracomm) -> None:
     assert found["half"].snapshot.air.pressure == pytest.approx(0.03, rel=1e-12)
 
 
+@pytest.mark.ranks
+def test_fans_follow_several_loads(comm: MPI.Intracomm, folder: Path) -> None:
+    """By kind, and the highest of all, by hand: snow .1 + .3 x .2, wind .1 + .4 x .5; also from a
+    checkpoint of a run that goes on."""
+    fans = [
+        FanControl("snow", [0.0, 1.0], [0.01, 0.04]),
+        FanControl("wind", [0.0, 2.0], [0.01, 0.03]),
+    ]
+
+    def begun() -> Solver:
+        scene = sheet(comm, 4, "unstructured")
+        for name in ("snow drifted", "wind x", "wind y"):
+            scene.put_load((0.0, 0.0, -1e-4), name=name)
+        return advanced(Solver(scene, results=folder, resume=True), pressure=0.01)
+
+    solver = begun()
+    solver.advance(load={"snow drifted": 0.2, "wind y": 1.0}, pressure=fans, steps=2)
+    # of the snow .01 + .03 x .2, of the wind .01 + .02 x .5
+    assert solver.history["pressure"][-2:] == pytest.approx([0.015, 0.02])
+    found = solver.combine(
+        {"snow": {"snow drifted": 0.8, "pressure": fans}, "kept": {"wind x": 1.5},
+         "wind": {"wind x": 1.6, "pressure": tuple(fans)}}
+    )  # fmt: skip
+    pressures = {name: one.snapshot.air.pressure for name, one in found.items()}
+    assert pressures == {
+        "snow": pytest.approx(0.034), "kept": pytest.approx(0.02), "wind": pytest.approx(0.026)
+    }  # fmt: skip
+    tension = solver.scene.energy
+    del solver
+    again = begun()
+    again.advance(load={"snow drifted": 0.2, "wind y": 1.0}, pressure=fans, steps=2)
+    assert again.scene.energy == tension and again.scene.pressure == pytest.approx(0.02)
+
+
 def refused(scene: Scene) -> list[tuple[str, object]]:
     """Messages, and calls that raise them."""
     solver = Solver(scene)
@@ -184,6 +218,8 @@ def refused(scene: Scene) -> list[tuple[str, object]]:
         ("unseal: the air is not sealed", scene.unseal),
         ("exponent = 0.9 is below 1", lambda: scene.seal(volume=1.0, exponent=0.9)),
         ("there is no load 'gale'", lambda: solver.advance(pressure=FanControl("gale", [0], [1]))),
+        ("pressure = .* is not a valid list", lambda: solver.advance(pressure=[])),
+        ("pressure is of type float; pass a FanControl", lambda: solver.advance(pressure=[0.3])),
     ]  # fmt: skip
 
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import pytest
 from cabled_square import advanced, sheet
 from mpi4py import MPI
 
-from crms_fenicsx import InputError, IsotropicMembrane, Solver
+from crms_fenicsx import FanControl, InputError, IsotropicMembrane, Solver
 from crms_fenicsx.design.codes import asce7, asce7_16, asce7_22, combinations, en1990
 
 
@@ -147,6 +149,29 @@ def test_pressures_follow_the_loads() -> None:
         assert one.get("pressure") == (0.6 if snow else 0.4 if wind else None)
 
 
+def test_pressures_by_fans_and_by_a_rule() -> None:
+    """Fans go into all combinations but accidents that give a pressure; a rule sees what acts."""
+    fans = [FanControl("snow", [0.0, 1.0], [0.3, 0.6]), FanControl("wind", [0.0, 1.0], [0.3, 0.5])]
+    states = {"state": ["ULS", "accidental"], "accidents": {"a fan fails": {"pressure": 0.2}}}
+    given = (en1990, ["g"], ["snow", "snow drifted", "wind x", "wind y"])
+    table = combinations(*given, pressure=fans, **states)  # type: ignore[arg-type]
+    for one in table.values():
+        assert one["pressure"] is (fans if one["state"] == "ULS" else one["pressure"])
+        assert one["state"] == "ULS" or one["pressure"] == 0.2
+    single = combinations(*given, pressure=fans[0])
+    assert all(one["pressure"] is fans[0] for one in single.values())
+
+    def rule(acting: Mapping[str, float]) -> float | None:
+        """Winter storms with more pressure than those of summer, without snow."""
+        snow, wind = (any(x.startswith(kind) for x in acting) for kind in ("snow", "wind"))
+        return 0.7 if snow and wind else 0.6 if snow else 0.4 if wind else None
+
+    for one in combinations(*given, pressure=rule).values():
+        snow, wind = (any(one[x] for x in given[2] if x[:4] == kind) for kind in ("snow", "wind"))
+        expected = {(True, True): 0.7, (True, False): 0.6, (False, True): 0.4}
+        assert one.get("pressure") == expected.get((snow, wind))
+
+
 @pytest.mark.ranks
 def test_a_table_is_solved(comm: MPI.Intracomm) -> None:
     scene = sheet(
@@ -186,6 +211,11 @@ def test_bad_input() -> None:
         ({"also": {"pressure": 1.0}, "pressure": {"snow": 0.6}}, "'pressure' in also has its own"),
         ({"pressure": {"wind": 0.6}}, "pressure of 'wind', but there is no variable load"),
         ({"pressure": {"snow": -0.6}}, "pressure of 'snow' = -0.6"),
+        ({"pressure": []}, "pressure = .*is not a valid list"),
+        ({"pressure": [0.6]}, "pressure is of type float; pass a FanControl"),
+        ({"pressure": 0.6}, "pressure = 0.6"),
+        ({"pressure": FanControl("wind", [0.0], [1.0])}, "pressure of 'wind', but there is no"),
+        ({"pressure": lambda acting: -1.0}, r"of the rule for \{.*\} = -1.0"),
         ({"prestress": (1.2, 0.0)}, "prestress = 0.0"),
         ({"prestress": 1.2}, "prestress = 1.2"),
         ({"state": "accidental"}, 'the state "accidental", or neither'),
