@@ -91,9 +91,9 @@ class ResultTables:
             (
                 f"LC{k}",
                 "base state" if name == BASE else name,
-                of[name].state if name in of else None,
+                (of[name].state or None) if name in of else None,
                 of[name].prestress if name in of and tight else None,
-                ", ".join(of[name].without) if name in of else None,
+                (", ".join(of[name].without) or None) if name in of else None,
                 p if pressed else None,
                 *(known.get(load) or None for load in loads),
                 divided.get(name) if reduced else None,
