@@ -333,7 +333,7 @@ class ResultTables:
         columns = self.units.headings(
             "Combination|Number|Depth{length}|at x; y; z{length}|Volume{volume}|Area{area}"
         )
-        return Table("Ponding: places without drainage", columns, rows, "hollows")
+        return Table("Ponding: places without drainage", columns, rows, "drainage")
 
     def ponds(self) -> Table:
         """Levels, volumes and factored weights of ponds."""
