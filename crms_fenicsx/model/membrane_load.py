@@ -100,10 +100,10 @@ def described(function: object) -> str:
     given = {one.name: getattr(function, one.name) for one in fields(function) if one.repr}
     told = [
         f"{name} = {_as_text(value)}" for name, value in given.items()
-        if not is_dataclass(value) and value is not None
+        if not is_dataclass(value) and value is not None and value is not False
     ]  # fmt: skip
     told += [one for x in (*given.values(), function) if (one := getattr(x, "computed", ""))]
-    return f"{text.rstrip('.')}: {', '.join(told)}".replace("`", "")
+    return ": ".join(x for x in (text.rstrip("."), ", ".join(told)) if x).replace("`", "")
 
 
 def _as_text(value: Any) -> str:
@@ -112,8 +112,8 @@ def _as_text(value: Any) -> str:
         return ", ".join(f"{_as_text(one)} ({name})" for name, one in value.items())
     if isinstance(value, np.ndarray | list | tuple):
         return f"({', '.join(map(_as_text, value))})"
-    if isinstance(value, bool):
-        return "yes" if value else "no"
+    if value is True:
+        return "yes"
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 

@@ -135,7 +135,7 @@ def test_loads_say_what_they_follow() -> None:
     names = ("snow", "drift", "suction", "up", "storm", "snow drifted")
     assert set(basis) == {f"Load {name}" for name in names}
     assert basis["Load snow"].startswith("s_k = 0.75, C_e = 1.2, C_t = 1, mu: Snow on a monopitch")
-    assert basis["Load snow"].endswith("by its own slope: retained = no")
+    assert basis["Load snow"].endswith("5.3.2, and on any surface by its own slope")
     assert basis["Load drift"] == "Snow behind the parapet."
     assert basis["Load suction"] == "q_p = 0.6500 kN/m\u00b2, c_p = -0.8"
     assert basis["Load up"].startswith("q_p = 0.6500 kN/m\u00b2, Net wind on a canopy, EN 1991-1-4")

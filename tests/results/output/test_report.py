@@ -101,7 +101,7 @@ def test_a_report_of_combinations(comm: MPI.Intracomm, folder: Path) -> None:
     names = {path.name for path in out.iterdir()}
     assert names == {"tent.html"} | {
         f"tent_{table}.csv"
-        for table in ("combinations", "overview", "membrane", "envelope", "hollows", "cables",
+        for table in ("combinations", "overview", "membrane", "envelope", "drainage", "cables",
                       "cable_envelope", "supports", "support_lines", "balance", "anchors",
                       "foundation_points", "foundations", "foundation_envelope", "governing", "rim",
                       "verification")

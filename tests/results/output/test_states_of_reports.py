@@ -242,3 +242,27 @@ def test_the_base_state_of_a_loaded_state(comm: MPI.Intracomm, folder: Path) -> 
             for name in ("base", "loaded")
         )
         assert one == other
+
+
+def test_combinations_say_what_they_change(comm: MPI.Intracomm, folder: Path) -> None:
+    """The factor of the prestress, what is missing, the limit state and the pressure."""
+    solver = roof(comm)
+    table = {
+        "tight": {"snow": 0.3, "prestress": 1.35},
+        "torn": {"snow": 0.1, "state": "accidental", "without": ["ridge", "hanger"]},
+        "fans": {"snow": 0.3, "state": "frequent", "pressure": 0.7},
+    }
+    page = page_of(solver, folder / "changed.html", solver.combine(table))
+    (heads, *rows) = page.tables["Inner pressure and factors of the loads"]
+    assert heads == [
+        "Case", "Combination", "Limit state", "Prestress", "Without", "Inner pressure", "snow"
+    ]  # fmt: skip
+    assert [row[1:] for row in rows] == [
+        ["base state", "\u2013", "1.000", "\u2013", "0.5000", "0.2000"],
+        ["tight", "ULS", "1.350", "\u2013", "0.6750", "0.3000"],
+        ["torn", "accidental", "1.000", "ridge, hanger", "0.5000", "0.1000"],
+        ["fans", "frequent", "1.000", "\u2013", "0.7000", "0.3000"],
+    ]
+    page = page_of(solver, folder / "same.html", solver.combine({"snow": {"snow": 0.3}}))
+    heads = page.tables["Inner pressure and factors of the loads"][0]
+    assert "Prestress" not in heads and "Without" not in heads

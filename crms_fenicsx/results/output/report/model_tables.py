@@ -77,7 +77,7 @@ def model_of_scene(scene: Scene, units: Units) -> Model:
         ),
         "cables": (
             "Cables",
-            "Cable|EA{force}|Unstressed length{length}|Friction|Start / end|Lies",
+            "Cable|EA{force}|Unstressed length{length}|Friction|Start / end|Position",
             [_cable(cable, units) for cable in scene.cables],
         ),
         "bars": (
@@ -101,7 +101,7 @@ def model_of_scene(scene: Scene, units: Units) -> Model:
         ),
         "loads": (
             "Loads at the factor 1",
-            "Load|Kind|Mean per area{pressure}|On cells{pressure}, of wind c_p|Sum Fx{force}|"
+            "Load|Kind|Mean per area{pressure}|On the surface{pressure}, of wind c_p|Sum Fx{force}|"
             "Sum Fy{force}|Sum Fz{force}",
             _loads(scene),
         ),
@@ -260,7 +260,8 @@ def _cable(cable: LaidCable, units: Units) -> Row:
     friction = friction if isinstance(friction, Friction) else Friction(friction)
     data = _listed({one.name: _text(getattr(friction, one.name)) for one in fields(friction)})
     free = cable.slides_freely and cable.cable.along == 0.0
-    lies = {"sleeve": "in a sleeve", "pocket": "in a pocket"}.get(cable.hold, cable.hold)
+    names = {"outside": "on the membrane", "sleeve": "in a sleeve", "pocket": "in a pocket"}
+    lies = names.get(cable.hold, cable.hold)
     lies += "" if cable.state.laid.line is None else ", on a mesh line"
     ends = " / ".join(
         joint or ("anchored" if end != "tied" else "tied")

@@ -95,9 +95,9 @@ class ResultTables:
             (
                 code,
                 "base state" if name == BASE else name,
-                of[name].state if name in of else None,
+                (of[name].state or None) if name in of else None,
                 of[name].prestress if name in of and tight else None,
-                ", ".join(of[name].without) if name in of else None,
+                (", ".join(of[name].without) or None) if name in of else None,
                 p if pressed else None,
                 *(known.get(load) or None for load in loads),
                 divided.get(name) if reduced else None,
@@ -337,7 +337,7 @@ class ResultTables:
         columns = self.units.headings(
             "Combination|Number|Depth{length}|at x; y; z{length}|Volume{volume}|Area{area}"
         )
-        return Table("Ponding: places without drainage", columns, rows, "hollows")
+        return Table("Ponding: places without drainage", columns, rows, "drainage")
 
     def ponds(self) -> Table:
         """Levels, volumes and factored weights of ponds."""
