@@ -226,7 +226,7 @@ CALLS: dict[str, tuple[Callable[..., Scene], dict[str, Any]]] = {
     ),
     "Bar": (mast, {
         "EA": 101.0, "tension_only": True, "EI": 5.0, "strength": 9.0, "gamma_M": 1.1,
-        "buckling_length": 3.0, "expansion": 1e-5,
+        "buckling_length": 3.0, "expansion": 1e-5, "section": "CHS 60.3x4",
     }),
     "lay_cable": (laid, {
         "cable": Cable(51.0), "path": [(0, 3.3), (10, 4.3)], "L0": 9.9, "tension": 2.0,

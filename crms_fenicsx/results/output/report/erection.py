@@ -48,7 +48,7 @@ def erection(
         figures += [
             replace(one, caption=one.caption.replace(case.name, name, 1)) for one in case.pictures
         ]
-    tables = by_stage(of, held, strain, factors, most=SHORT)
+    tables = by_stage(of, held, strain, factors, most=SHORT // 2)
     return [PageSection("Erection", [Paragraph(STAGES), *tables, Figures(figures)])]
 
 
@@ -65,8 +65,9 @@ def by_stage(
     for part in in_parts([*range(len(stages))], most or len(stages)):
         names = [heads.get(stages[k].name, stages[k].name) for k in part]
         own = [(*row[:2], *(row[2 + k] for k in part)) for row in rows]
-        found.append(Table("Stages of erection", ("Result", "Of", *names), own, "erection",
-                           headings=2, small=len(part) > SHORT // 2))  # fmt: skip
+        found.append(
+            Table("Stages of erection", ("Result", "Of", *names), own, "erection", headings=2)
+        )
     return found
 
 
