@@ -52,12 +52,14 @@ def row_checks(
     bounds = np.zeros(len(vertices))
     if system.shifts is not None:
         forces = _forces_on_cells(system.shifts, loads, shape)
+    moves = numbering.shifts.projectors.any(axis=(1, 2))  # others rest for the load step
     at, grip = dict[int, tuple[Integers, Integers]](), dict[int, Array]()
     for c, cable in rows.items():
         own = slice(*nodes.starts[c : c + 2])
         on = np.flatnonzero((nodes.kind[own] == VERTEX) & ~nodes.lifted[own])
         place = np.searchsorted(vertices, nodes.support[own][on, 0])
         shifts = np.append(vertices, -1)[place] == nodes.support[own][on, 0]
+        shifts[shifts] = moves[place[shifts]]
         at[c] = on[shifts], place[shifts]
         np.subtract.at(forces, at[c][1], pulls[c][at[c][0]] * numbering.shifts.held[at[c][1], None])
         grip[c] = _bounds(cable, shape)
