@@ -620,7 +620,12 @@ class Solver:
         1.4
         """
         checks.own("contact_forces", "cable", cable, self.scene.cables)
-        return contact_forces(cable, self.scene.net.strip_shape()).at(cable.line_nodes())
+        net, beside = self.scene.net, None
+        if net.may_touch:
+            from crms_fenicsx.cabling.contact.side_by_side import forces_beside
+
+            beside = forces_beside(net, self.scene.materials.values())[cable]
+        return contact_forces(cable, net.strip_shape(), beside).at(cable.line_nodes())
 
     @collective
     def cable_forces(self) -> dict[str, CableResults]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
 from crms_fenicsx.foundation.runtime import checks
-from crms_fenicsx.foundation.runtime.arguments import Positive, checked
+from crms_fenicsx.foundation.runtime.arguments import NonNegative, Positive, checked
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.foundation.runtime.checks import counted, span
 from crms_fenicsx.foundation.runtime.errors import InputError
@@ -30,6 +30,9 @@ class Cable:
     friction
         Friction on the membrane: a coefficient, or a `Friction` with more data. The default 0 costs
         nothing.
+    diameter
+        Diameter (length). Two cables that lie along lines of the mesh and do not cross come no
+        nearer to each other than half the sum of their diameters. The default 0 means no contact.
 
     Examples
     --------
@@ -42,6 +45,7 @@ class Cable:
     EA: Positive
     law: Literal["total", "step"] = "total"
     friction: float | Friction = 0.0
+    diameter: NonNegative = 0.0
 
     def __post_init__(self) -> None:
         if not isinstance(self.friction, Friction):

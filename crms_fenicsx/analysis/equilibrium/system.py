@@ -244,7 +244,11 @@ class System:
 
     def renew_base(self) -> None:
         """Start from the stress-free places that the membrane has now. Collective."""
-        assert self.shifts is not None
+        assert self.shifts is not None and self.cables is not None
+        if not self.cables.faces_all:  # rows have come near each other
+            self.rebuild()
+            self.read_scene()
+            return
         self.membrane.renew_places()
         if isinstance(self.pressure.term, FollowerPressure):
             self.pressure.renew_places(self.pressure.term)

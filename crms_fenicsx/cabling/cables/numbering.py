@@ -27,6 +27,7 @@ from crms_fenicsx.cabling.cables.points_on_edges import (
 )
 from crms_fenicsx.cabling.cables.row_shifts import RowShifts
 from crms_fenicsx.cabling.cables.strip import NOBODY, Strip, StripShape
+from crms_fenicsx.energy.terms.segments import BlockLists
 from crms_fenicsx.foundation.dofs.layout import FrameBlocks, Unknowns, vertex_places
 from crms_fenicsx.foundation.meshes.triangles import lists
 from crms_fenicsx.foundation.runtime.arrays import Array, Indices, Integers, pointers, runs
@@ -97,8 +98,11 @@ class CableNumbering:
         u: fem.Function,
         nodes: NodeTable | None = None,
         shifts: RowShifts | None = None,
+        facing: BlockLists | None = None,
     ) -> None:
-        self.cables, self.strip, self.u = tuple(cables), strip, u
+        """Number the points of cables; where rows of the table of nodes face others, the owner of
+        each first one knows those behind it."""
+        self.cables, self.strip, self.u, self._facing = tuple(cables), strip, u, facing
         self.shifts = RowShifts.none() if shifts is None else shifts
         self.rank = u.function_space.mesh.comm.rank
         self.nodes = NodeTable.of(self.cables, nodes)
@@ -204,6 +208,11 @@ class CableNumbering:
         given = np.isin(self.nodes.kind[ends], (VERTEX, EDGE_SLIDER, TIED))
         supports = self.nodes.support[ends[given]]
         far = np.stack([np.repeat(owner[given], 3), supports.ravel()], axis=1)
+        if self._facing is not None:
+            begins, counts = self._facing.pointers[:-1], np.diff(self._facing.pointers)
+            faced = self._facing.blocks
+            owner = np.repeat(self.node_owners[faced[begins]], counts)
+            far = np.append(far, np.stack([owner, self.nodes.support[faced, 0]], axis=1), axis=0)
         # Vertices at ends of spans, on ranks that lack them.
         self._find_far_vertices(far[far[:, 1] >= 0])
 

@@ -182,6 +182,10 @@ def lay_along(
         )
         for one, way in zip(lines, ways, strict=True)
     )
+    if cable.diameter > 0.0:
+        from crms_fenicsx.cabling.contact.side_by_side import refuse_too_near
+
+        refuse_too_near([*net.cables, *laid], len(laid))
     net.add(laid, strip)
     return laid
 

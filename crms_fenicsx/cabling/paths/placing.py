@@ -199,6 +199,12 @@ def check_law(
                 'but its friction has law="step", that of an edge which a cable crosses; use '
                 'law="coulomb", or lay it by its path, without `along`.'
             )
+    if line is None and cable.diameter > 0.0:
+        raise InputError(
+            f"lay_cable: {name!r} has the diameter {cable.diameter:g} but lies across the cells of "
+            "the mesh, where cables do not touch side by side; lay it along a line of the mesh, or "
+            "leave its diameter out."
+        )
     if hold == "bonded" and cable.law == "step":
         raise InputError(
             f'lay_cable: {name!r} is bonded, but its law "step" has one tension for the whole '

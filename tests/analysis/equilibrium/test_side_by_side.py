@@ -1,0 +1,133 @@
+"""Cables with diameters along lines side by side: they slide until they touch, press, and part."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from cabled_square import SIDE
+from grids import Floats, alternating, grid, numbered
+from mpi4py import MPI
+from sliding_rows import EA, PRESSURE
+
+from crms_fenicsx import Cable, Friction, InputError, IsotropicMembrane, LaidCable, Scene, Solver
+from crms_fenicsx import meshes
+
+FOIL = IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08)
+STIFF = IsotropicMembrane(E=1e3, nu=0.3, thickness=1.0, wrinkling=False)
+SLOPE = 2.0
+"""Of the square of the waisted surface's radius: r^2 = 1 + SLOPE z^2."""
+
+
+def waisted(comm: MPI.Intracomm, n: int, diameter: float, bow: float) -> tuple[Scene, LaidCable]:
+    """Half a rigid hyperboloid with two cables around it whose ends lie a diameter apart, and whose
+    middles lie farther from the waist, to which they slide."""
+
+    def place(x: Floats, y: Floats) -> Floats:
+        return 0.0 * x
+
+    heights = np.array([-3.0, -1.5, -1.0, 0.0, 1.0, 1.5, 3.0])
+    points, cells = grid(np.linspace(0.0, np.pi, n + 1), heights, place, alternating(n, 6))
+    angle, z = points[:, 0], diameter / 2 * points[:, 1]
+    z *= 1.0 + bow * np.sin(angle) * (np.abs(points[:, 1]) < 2.0)
+    r = np.sqrt(1.0 + SLOPE * z**2)
+    points = np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1)
+    number = numbered(n + 1, 7)
+    rows = {"A": number[:, 2], "B": number[:, 4]}
+    edges = {name: np.stack([row[:-1], row[1:]], axis=1) for name, row in rows.items()}
+    scene = Scene(meshes.from_arrays(comm, points, cells, edges=edges, outside=(0, 1, 0)), STIFF)
+    scene.fix(lambda x: np.full(x.shape[1], True))
+    for name in rows:
+        scene.lay_cable(Cable(EA=10.0, diameter=diameter), along=name)
+    return scene, scene.cables[0]
+
+
+@pytest.mark.ranks
+def test_known_side_forces(comm: MPI.Intracomm) -> None:
+    """On a rigid waist a parallel's geodesic curvature times the tension presses on the other."""
+    D, errors = 0.4, []
+    for n in (20, 40):
+        scene, cable = waisted(comm, n, D, 0.5)
+        solver = Solver(scene)
+        step = solver.advance(L0=dict.fromkeys(scene.cables, 3.1))
+        assert step.verification.passed and not step.verification.doubtful
+        assert np.abs(cable.line[:, 2] + D / 2).max() < 1e-4 * D
+        r = np.sqrt(1.0 + SLOPE * (D / 2) ** 2)
+        rise = SLOPE * (D / 2) / r
+        known = cable.tension * rise / np.hypot(1.0, rise) * np.pi * (1.0 - 1.0 / n)
+        one, other = (solver.contact_forces(own).beside.sum(axis=0) for own in scene.cables)
+        np.testing.assert_allclose(one, -other, rtol=0.0, atol=1e-12)
+        assert np.abs(one[:2]).max() < 1e-3 * known
+        errors.append(abs(one[2] / known + 1.0))
+    print(errors)
+    assert errors[1] < 3e-3 and errors[1] < 0.5 * errors[0]
+
+
+def beside(
+    comm: MPI.Intracomm, gap: float, diameter: float, *, k: int = 20, between: int = 1, **law: object
+) -> tuple[Scene, list[LaidCable]]:
+    """Two lines on a square with some cells in between whose cables pull them to a distance; under
+    pressure the fabric between them draws them together."""
+    at, numbers = np.linspace(0.0, SIDE, k + 1), numbered(k + 1, k + 1)
+    points, cells = grid(at, at, other=alternating(k, k))
+    a = round(0.3 * k)
+    b = a + between
+    for i, x in enumerate(at):
+        aside = 8.0 * np.sin(np.pi * x / SIDE)
+        y = [0.0, 30.0 - aside, 30.0 + gap + aside, SIDE]
+        points[numbers[i], 1] = np.interp(np.arange(k + 1), [0, a, b, k], y)
+    rows = {"A": numbers[:, a], "B": numbers[:, b]}
+    edges = {name: np.stack([row[:-1], row[1:]], axis=1) for name, row in rows.items()}
+    scene = Scene(meshes.from_arrays(comm, points, cells, edges=edges), FOIL)
+    scene.fix("boundary")
+    rope = Cable(EA, diameter=diameter, **law)
+    return scene, [scene.lay_cable(rope, along=name, L0=SIDE) for name in rows]
+
+
+def distances(cables: list[LaidCable]) -> Floats:
+    """Distances of vertices that lie opposite each other, without the ends."""
+    one, other = (cable.state.positions[1:-1] for cable in cables)
+    return np.linalg.norm(one - other, axis=1)
+
+
+@pytest.mark.ranks
+def test_they_touch_part_and_touch_again(comm: MPI.Intracomm) -> None:
+    """Cells between them become a 300th of their first width; the state does not depend on the
+    way, nor on the number of processes."""
+    scene, cables = beside(comm, 0.3, 0.05)
+    solver = Solver(scene, rtol=1e-10)
+    known = [67.962663208, 69.734910612]
+    for way in range(2):
+        step = solver.advance(pressure=PRESSURE, L0=dict.fromkeys(cables, SIDE))
+        assert step.verification.passed and not step.verification.doubtful
+        assert step.verification["depth in a cable beside"].value < 2e-4
+        assert 0.9998 * 0.05 < distances(cables).min() < 0.05
+        assert (distances(cables) < 0.0502).sum() >= 9
+        assert [cable.tension for cable in cables] == pytest.approx(known, rel=1e-8), way
+        solver.advance(pressure=PRESSURE / 4, L0={cables[0]: 1.02 * SIDE})
+        assert distances(cables).min() > 0.25
+        assert not solver.contact_forces(cables[0]).beside.any()
+    print([repr(cable.tension) for cable in cables])
+
+
+def test_without_diameters_they_collapse(comm: MPI.Intracomm) -> None:
+    """As in the step of the last test."""
+
+
+@pytest.mark.ranks
+def test_they_meet_from_afar(comm: MPI.Intracomm) -> None:
+    """Rows that slide by more than the cells between them are told of each other on the way."""
+    scene, cables = beside(comm, 2.0, 1.5, k=40, between=6)
+    step = Solver(scene).advance(pressure=PRESSURE)
+    print(distances(cables))
+    assert step.verification.passed and not step.verification.doubtful
+    assert 1.499 < distances(cables).min() < 1.5
+
+
+@pytest.mark.ranks
+def test_friction_beside(comm: MPI.Intracomm) -> None:
+    """What a cable beside it carries is no friction."""
+    scene, cables = beside(comm, 0.3, 0.2, friction=Friction(0.1))
+    step = Solver(scene).advance(pressure=PRESSURE)
+    assert step.verification.passed and not step.verification.doubtful
+    print(step.verification, distances(cables))
+    assert distances(cables).min() == pytest.approx(0.2, rel=1e-3)
