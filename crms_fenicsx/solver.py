@@ -620,12 +620,8 @@ class Solver:
         1.4
         """
         checks.own("contact_forces", "cable", cable, self.scene.cables)
-        net, beside = self.scene.net, None
-        if net.may_touch:
-            from crms_fenicsx.cabling.contact.side_by_side import forces_beside
-
-            beside = forces_beside(net, self.scene.materials.values())[cable]
-        return contact_forces(cable, net.strip_shape(), beside).at(cable.line_nodes())
+        shape, beside = self.scene.net.strip_shape(), self.system.forces_beside()
+        return contact_forces(cable, shape, beside.get(cable)).at(cable.line_nodes())
 
     @collective
     def cable_forces(self) -> dict[str, CableResults]:

@@ -32,7 +32,7 @@ from crms_fenicsx.energy.terms.membrane_energy import MembraneEnergy
 from crms_fenicsx.energy.terms.term import EnergyTerm
 from crms_fenicsx.foundation.dofs.layout import FrameBlocks
 from crms_fenicsx.foundation.meshes.triangles import norm
-from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, pointers
+from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers, pointers
 from crms_fenicsx.model.laid_cable import LaidCable, polyline_length
 
 if TYPE_CHECKING:
@@ -186,11 +186,14 @@ class CableContribution(Contribution):
         from crms_fenicsx.energy.terms.side_contact import SideContact
 
         numbering = self.numbering
-        owners = numbering.node_owners[facing.blocks[facing.pointers[:-1]]]
-        self._touching = np.flatnonzero(owners == numbering.rank)
-        own = facing.some(self._touching)
+        own = facing.some(self._own_faces(facing))
         self.contact = SideContact(own.renumbered(numbering.node_blocks.astype(np.int32)))
         return self.contact
+
+    def _own_faces(self, facing: Facing) -> Integers:
+        """Which of the facing vertices this rank owns, (k,)."""
+        first = facing.blocks[facing.pointers[:-1]]
+        return np.flatnonzero(self.numbering.node_owners[first] == self.numbering.rank)
 
     def _stiffnesses(self) -> Array:
         """Axial stiffnesses of the parts of the sliding cables (force)."""
@@ -220,7 +223,7 @@ class CableContribution(Contribution):
             self.facing.stiffness[:] = stiffnesses(
                 self.facing, nodes, shape, self.scene.materials.values()
             )
-            self.contact.table.stiffness[:] = self.facing.stiffness[self._touching]
+            self.contact.table.stiffness[:] = self.facing.stiffness[self._own_faces(self.facing)]
         if self.clutches is not None:
             from crms_fenicsx.cabling.friction.axial import clamp_grips
 

@@ -50,7 +50,7 @@ LIMITS = {
     "depth below another cable": 1e-3,
     "held by a line of the mesh": 0.03,
     "held by vertices": 0.05,
-    "depth in a cable beside": 0.05,
+    "depth in a cable beside": 0.01,
     "sideways balance": UNBALANCED,
     "held where its line stays": 0.05,
     "sideways force without friction": 0.3,
@@ -139,7 +139,7 @@ class CableVerifier:
         held = [cable.keeps_line or not system.slide for cable in scene.cables]
         lines = Polylines(scene.net.nodes, positions_of(scene.cables), np.array(held, dtype=bool))
         outward, depths = outward_pulls(scene, lines, shape), below_others(scene, lines, shape)
-        beside, depths_beside = _beside(scene)
+        beside, depths_beside = _beside(system) if scene.net.may_touch else ({}, {})
         rows = row_checks(system, loads, shape, beside)
         for c, (cable, nodes) in enumerate(zip(scene.cables, self._nodes, strict=True)):
             for k, name in enumerate(cable.state.laid.joints):
@@ -185,14 +185,12 @@ class CableVerifier:
         ]
 
 
-def _beside(scene: Scene) -> tuple[dict[LaidCable, Array], dict[LaidCable, float]]:
+def _beside(system: System) -> tuple[dict[LaidCable, Array], dict[LaidCable, float]]:
     """Forces (n, 3) at the nodes of cables that touch others side by side, and how much nearer
     they are than both radii, relative to these. Collective."""
-    if not scene.net.may_touch:
-        return {}, {}
-    from crms_fenicsx.cabling.contact.side_by_side import forces_beside, overlaps
+    from crms_fenicsx.cabling.contact.side_by_side import overlaps
 
-    return forces_beside(scene.net, scene.materials.values()), overlaps(scene.cables)
+    return system.forces_beside(), overlaps(system.scene.cables)
 
 
 def _apart(scene: Scene) -> list[float]:

@@ -28,15 +28,12 @@ BESIDE = 2
 the curve between two vertices depends on the next ones; and how many cells away cables face each
 other, of which each comes nearer by one at most before they are sought again."""
 
-HALVINGS = 60
-"""Divisions of a part of a curve by three in which the closest point is found, to rounding."""
-
 STIFF = 10.0
 """Stiffness of the contact, relative to that of fabric between the cables' axes: under the same
 force it yields by a tenth of the fabric's strain."""
 
 
-def is_round(cables: Sequence[LaidCable]) -> Booleans:
+def _is_round(cables: Sequence[LaidCable]) -> Booleans:
     """Whether each cable lies along a line and has a diameter, (n,)."""
     return np.array(
         [one.cable.diameter > 0.0 and one.state.laid.line is not None for one in cables], dtype=bool
@@ -58,7 +55,7 @@ def facing_on_mesh(
     at = np.searchsorted(strip.vertices, nodes.support[:, 0]).clip(0, len(strip.vertices) - 1)
     taut = np.array([one.taut for one in cables], dtype=bool)
     places = shape.stress_free[at]
-    found = _facing(cables, is_round(cables) & taut, nodes, places, cells * sizes[at], cells)
+    found = _facing(cables, _is_round(cables) & taut, nodes, places, cells * sizes[at], cells)
     found.stiffness[:] = stiffnesses(found, nodes, shape, materials)
     return found
 
@@ -123,7 +120,7 @@ def faces_all(known: Facing, near: Facing) -> bool:
     return bool(np.isin(own, others).all())
 
 
-def gaps(facing: Facing, places: Array) -> tuple[Integers, Array, Array, Array]:
+def _gaps(facing: Facing, places: Array) -> tuple[Integers, Array, Array, Array]:
     """Of each facing vertex the rows (n, 6) on which the closest point of the curve depends, their
     weights, its distance (n,), and the direction from it (n, 3), for nodes at `places` (m, 3):
     Hermite's cubic between two vertices, with the slopes of the chords beside them."""
@@ -139,7 +136,7 @@ def gaps(facing: Facing, places: Array) -> tuple[Integers, Array, Array, Array]:
     X, v = places[blocks[np.array(rows)]], places[blocks[begins[of]]]
     low: Array = np.zeros(len(of))
     high: Array = np.ones(len(of))
-    for _ in range(HALVINGS):
+    for _ in range(60):  # to rounding
         t = np.array([low + (high - low) / 3, high - (high - low) / 3])
         one, other = (norm(_curve(_hermite(s, chords), X) - v) for s in t)
         low, high = np.where(one > other, t[0], low), np.where(one > other, high, t[1])
@@ -171,8 +168,8 @@ def forces_beside(net: CableNet, materials: Iterable[MembraneMaterial]) -> dict[
 def overlaps(cables: Sequence[LaidCable]) -> dict[LaidCable, float]:
     """By which part of their least distance each taut cable and one beside it are too near."""
     taut = np.array([one.taut for one in cables], dtype=bool)
-    nodes, places, found = _facing_in_space(cables, is_round(cables) & taut)
-    parts = 1.0 - gaps(found, places)[2] / found.least
+    nodes, places, found = _facing_in_space(cables, _is_round(cables) & taut)
+    parts = 1.0 - _gaps(found, places)[2] / found.least
     worst = dict[LaidCable, float]()
     for k in np.flatnonzero(parts > 0.0):
         v, a = found.blocks[found.pointers[k] : found.pointers[k] + 2]
@@ -195,7 +192,7 @@ def _facing_in_space(
 
 def side_forces(facing: Facing, places: Array) -> Array:
     """Forces (m, 3) of cables on each other at nodes at `places` (m, 3), by plain numpy."""
-    rows, weights, away, ways = gaps(facing, places)
+    rows, weights, away, ways = _gaps(facing, places)
     push = (facing.stiffness * np.maximum(facing.least - away, 0.0))[:, None] * ways
     forces = np.zeros_like(places)
     np.add.at(forces, facing.blocks[facing.pointers[:-1]], push)
@@ -205,13 +202,13 @@ def side_forces(facing: Facing, places: Array) -> Array:
 
 def refuse_too_near(cables: Sequence[LaidCable], new: int) -> None:
     """Refuse cables of which one of the last `new` lies nearer to another than both radii."""
-    chosen = is_round(cables)
+    chosen = _is_round(cables)
     if np.count_nonzero(chosen) < 2 or not chosen[-new:].any():
         return
     nodes, places, found = _facing_in_space(cables, chosen)
     if not len(found.least):
         return
-    away = gaps(found, places)[2]
+    away = _gaps(found, places)[2]
     k = int(np.argmin(away / found.least))
     if away[k] < (1.0 - SAME_PLACE) * found.least[k]:
         v, a = found.blocks[found.pointers[k] : found.pointers[k] + 2]

@@ -217,6 +217,14 @@ def check_law(
             checks.positive(f"lay_cable: {name!r} with {key}", value)
 
 
+def check_distance(cables: Sequence[LaidCable], new: int) -> None:
+    """Check that the last `new` cables lie as far from others as their diameters need."""
+    if any(one.cable.diameter > 0.0 for one in cables[-new:]):
+        from crms_fenicsx.cabling.contact.side_by_side import refuse_too_near
+
+        refuse_too_near(cables, new)
+
+
 def _follows_free_edge(path: Path, below: MembraneBelow) -> bool:
     """Whether a path runs from vertex to vertex along free boundary edges of the membrane."""
     vertices = [point.support[0] for point in path.points if len(point.support) == 1]

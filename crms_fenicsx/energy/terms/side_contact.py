@@ -33,7 +33,7 @@ class Facing(BlockLists):
 
 
 @numba.njit(cache=True)
-def spline_weights(s: float, m: int, N, slopes, bends) -> None:  # type: ignore[no-untyped-def]
+def _spline_weights(s: float, m: int, N, slopes, bends) -> None:  # type: ignore[no-untyped-def]
     """Weights (m,) of a row's points at s from 0 to m - 1, and their derivatives. The row is
     continued straight beyond its ends."""
     N[:] = slopes[:] = bends[:] = 0.0
@@ -66,7 +66,7 @@ def spline_weights(s: float, m: int, N, slopes, bends) -> None:  # type: ignore[
 @numba.njit(cache=True)
 def _slope(P, v, s, N, slopes, bends, ways) -> float:  # type: ignore[no-untyped-def]
     """-w . p' at s, for points P (m, 3) of a row and a place v (3,); w, p', p'' in `ways`."""
-    spline_weights(s, len(P), N, slopes, bends)
+    _spline_weights(s, len(P), N, slopes, bends)
     ways[0], ways[1:] = v, 0.0
     for j in range(len(P)):
         for i in range(3):
@@ -77,7 +77,7 @@ def _slope(P, v, s, N, slopes, bends, ways) -> float:  # type: ignore[no-untyped
 
 
 @numba.njit(cache=True)
-def closest(P, v, N, slopes, bends, ways) -> float:  # type: ignore[no-untyped-def]
+def _closest(P, v, N, slopes, bends, ways) -> float:  # type: ignore[no-untyped-def]
     """Place s of the curve through P (m, 3) that is closest to v (3,), and what `_slope` sets."""
     best, least = 0.0, np.inf
     for k in range(len(P) - 1):
@@ -131,7 +131,7 @@ def _touch(  # type: ignore[no-untyped-def]
             continue
         own = slice(first + 1, first + 1 + m)
         curves = np.empty(m)
-        s = closest(P, v, weights[own], slopes[own], curves, ways[e])
+        s = _closest(P, v, weights[own], slopes[own], curves, ways[e])
         d = math.sqrt((ways[e, 0] ** 2).sum())
         gaps[e] = d
         if not 0.0 < d < least[e]:

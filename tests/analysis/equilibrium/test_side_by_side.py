@@ -2,15 +2,28 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from cabled_square import SIDE
 from grids import Floats, alternating, grid, numbered
 from mpi4py import MPI
+from same_state import assert_same_state
 from sliding_rows import EA, PRESSURE
 
-from crms_fenicsx import Cable, Friction, InputError, IsotropicMembrane, LaidCable, Scene, Solver
-from crms_fenicsx import meshes
+from crms_fenicsx import (
+    Cable,
+    ConvergenceError,
+    InputError,
+    IsotropicMembrane,
+    LaidCable,
+    Scene,
+    Solver,
+    meshes,
+)
+from crms_fenicsx.analysis.equilibrium.cable_contribution import CableContribution
+from crms_fenicsx.cabling.contact.side_by_side import overlaps
 
 FOIL = IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08)
 STIFF = IsotropicMembrane(E=1e3, nu=0.3, thickness=1.0, wrinkling=False)
@@ -58,12 +71,11 @@ def test_known_side_forces(comm: MPI.Intracomm) -> None:
         np.testing.assert_allclose(one, -other, rtol=0.0, atol=1e-12)
         assert np.abs(one[:2]).max() < 1e-3 * known
         errors.append(abs(one[2] / known + 1.0))
-    print(errors)
     assert errors[1] < 3e-3 and errors[1] < 0.5 * errors[0]
 
 
 def beside(
-    comm: MPI.Intracomm, gap: float, diameter: float, *, k: int = 20, between: int = 1, **law: object
+    comm: MPI.Intracomm, gap: float, diameter: float, *, k: int = 20, between: int = 1, **law: Any
 ) -> tuple[Scene, list[LaidCable]]:
     """Two lines on a square with some cells in between whose cables pull them to a distance; under
     pressure the fabric between them draws them together."""
@@ -106,28 +118,90 @@ def test_they_touch_part_and_touch_again(comm: MPI.Intracomm) -> None:
         solver.advance(pressure=PRESSURE / 4, L0={cables[0]: 1.02 * SIDE})
         assert distances(cables).min() > 0.25
         assert not solver.contact_forces(cables[0]).beside.any()
-    print([repr(cable.tension) for cable in cables])
-
-
-def test_without_diameters_they_collapse(comm: MPI.Intracomm) -> None:
-    """As in the step of the last test."""
 
 
 @pytest.mark.ranks
-def test_they_meet_from_afar(comm: MPI.Intracomm) -> None:
-    """Rows that slide by more than the cells between them are told of each other on the way."""
-    scene, cables = beside(comm, 2.0, 1.5, k=40, between=6)
-    step = Solver(scene).advance(pressure=PRESSURE)
-    print(distances(cables))
-    assert step.verification.passed and not step.verification.doubtful
-    assert 1.499 < distances(cables).min() < 1.5
+@pytest.mark.parametrize("told", [True, False])
+def test_they_meet_from_afar(
+    comm: MPI.Intracomm, monkeypatch: pytest.MonkeyPatch, told: bool
+) -> None:
+    """Vertices that are too far apart to touch at the start are told of each other on the way;
+    those that are not run into each other, which makes the state doubtful."""
+    if not told:
+        monkeypatch.setattr(CableContribution, "faces_all", True)
+    scene, cables = beside(comm, 3.0, 2.5, between=3)
+    step = Solver(scene, max_halvings=0).advance(pressure=PRESSURE)
+    depth = step.verification["depth in a cable beside"]
+    assert step.verification.passed
+    if not told:
+        assert depth.value > 0.01 and depth in step.verification.doubtful
+        return
+    assert not step.verification.doubtful
+    assert depth.value < 2e-4
+    assert 2.499 < distances(cables).min() < 2.5
 
 
 @pytest.mark.ranks
 def test_friction_beside(comm: MPI.Intracomm) -> None:
-    """What a cable beside it carries is no friction."""
-    scene, cables = beside(comm, 0.3, 0.2, friction=Friction(0.1))
-    step = Solver(scene).advance(pressure=PRESSURE)
+    """What a cable beside it carries is no friction: it is several times as large here."""
+    scene, cables = beside(comm, 0.3, 0.2, friction=0.02)
+    solver = Solver(scene)
+    step = solver.advance(pressure=PRESSURE)
     assert step.verification.passed and not step.verification.doubtful
-    print(step.verification, distances(cables))
+    assert step.verification["friction beyond its bound"].value < 1e-2
     assert distances(cables).min() == pytest.approx(0.2, rel=1e-3)
+    forces = solver.contact_forces(cables[0])
+    middle = slice(8, 13)
+    assert (np.abs(forces.beside[middle, 1]) > 4 * 0.02 * forces.bearing[middle]).all()
+    assert (np.abs(forces.lateral[middle]) < 1.1 * 0.02 * forces.bearing[middle]).all()
+
+
+def test_too_thin_for_their_diameters(comm: MPI.Intracomm) -> None:
+    """Cells collapse where cables touch at less than a thousandth of their first distance."""
+    scene, _ = beside(comm, 0.3, 0.01)
+    kept = scene.state
+    with pytest.raises(ConvergenceError, match=r"A and B|B and A.*before they touch.*nearer"):
+        Solver(scene, max_halvings=0).advance(pressure=PRESSURE)
+    assert_same_state(scene.state, kept)
+
+
+@pytest.mark.ranks
+def test_laid_too_near(comm: MPI.Intracomm) -> None:
+    """The refusal names both cables, their distance and diameters, and what to do."""
+    scene, cables = beside(comm, 0.3, 0.25)
+    for cable in cables:
+        scene.remove(cable)
+    scene.lay_cable(Cable(EA, diameter=0.2), along="A", name="one")
+    kept = scene.state
+    with pytest.raises(InputError) as told:
+        scene.lay_cable(Cable(EA, diameter=0.5), along="B", name="other")
+    for words in ("'one' would lie 0.3 from 'other'", "0.2 and 0.5", "at 0.35", "further apart"):
+        assert words in str(told.value)
+    assert_same_state(scene.state, kept)
+    scene.lay_cable(Cable(EA, diameter=0.39), along="B", name="other")
+
+
+def test_cables_that_share_a_vertex_may_be_near(comm: MPI.Intracomm) -> None:
+    """Where cables cross, or leave one corner, one lies on top: they do not touch side by side."""
+    lines = {"a": [(0.0, 0.0), (100.0, 30.0)], "b": [(0.0, 0.0), (100.0, 60.0)],
+             "c": [(0.0, 90.0), (100.0, 20.0)]}  # fmt: skip
+    scene = Scene(meshes.rectangle(comm, SIDE, SIDE, 10.0, lines=lines), FOIL)
+    scene.fix("boundary")
+    for name in lines:
+        scene.lay_cable(Cable(EA, diameter=5.0), along=name)
+    assert not overlaps(scene.cables)
+
+
+def test_diameter_across_the_cells(comm: MPI.Intracomm) -> None:
+    """There cables know nothing of each other beside them."""
+    scene, _ = beside(comm, 0.3, 0.25)
+    kept = scene.state
+    with pytest.raises(InputError, match=r"'C'.*diameter 0\.2 but lies across.*along a line"):
+        scene.lay_cable(Cable(EA, diameter=0.2), [(0.0, 80.0), (100.0, 80.0)], name="C")
+    assert_same_state(scene.state, kept)
+
+
+@pytest.mark.parametrize("diameter", [-0.1, np.nan, np.inf, "20 mm", None])
+def test_bad_diameters(diameter: Any) -> None:
+    with pytest.raises(InputError, match=r"Cable: diameter"):
+        Cable(EA, diameter=diameter)
