@@ -49,7 +49,7 @@ def test_sideways_forces_balance_unless_a_place_is_shifted(
         current, free = shape.current, shape.stress_free.copy()
         free[at, 1] += 0.01
     moved = StripShape(shape.strip, current, free)
-    assert row_checks(solver.system, unloaded(solver), moved)[cable]["sideways balance"] > 3e-3
+    assert row_checks(solver.system, unloaded(solver), moved, {})[cable]["sideways balance"] > 3e-3
 
 
 @pytest.mark.ranks
