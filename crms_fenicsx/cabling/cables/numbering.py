@@ -219,7 +219,7 @@ class CableNumbering:
         """Rows (n,) of nodes that face others, and ranks that compute these contacts."""
         if self._facing is None:
             return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
-        rows, begins = self._facing.blocks, self._facing.pointers
+        rows, begins = self._facing.blocks.astype(np.int64), self._facing.pointers
         return rows, np.repeat(self.node_owners[rows[begins[:-1]]], np.diff(begins))
 
     def _find_far_vertices(self, far: Integers) -> None:
