@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
@@ -278,7 +279,7 @@ class IncrementSolver:
         rows = self.system.shifts is not None  # each solve moves them only once
         solves = BUDGET.follower_solves + (BUDGET.changes if rows else 0)
         last: list[Array] = []
-        part = 1.0
+        part, (least, most), before = 1.0, PARTS, math.inf
         for _ in range(solves):
             turned = tuple(load.with_current_normals(scene.membrane) for load in scene.loads)
             pairs = list(zip(turned, scene.loads, strict=True))
@@ -291,9 +292,11 @@ class IncrementSolver:
                 more = change - last[0]
                 products = np.array([np.vdot(last[0], more), np.vdot(more, more)])
                 comm.Allreduce(MPI.IN_PLACE, products)
+                if size > before:  # the factor swings, as where cells slacken and tighten in turn
+                    most = max(part / 2, least)
                 part *= -products[0] / max(products[1], 1e-300)
-                part = float(np.clip(part, *PARTS))
-            last = [change]
+                part = float(np.clip(part, least, most))
+            last, before = [change], size
             scene.loads.update(
                 loads=tuple(
                     replace(new, forces=old.forces + part * (new.forces - old.forces))

@@ -54,7 +54,8 @@ def row_checks(
     bounds = np.zeros(len(vertices))
     if system.shifts is not None:
         forces = _forces_on_cells(system.shifts, loads, shape)
-    moves = numbering.shifts.projectors.any(axis=(1, 2))  # others rest for the load step
+    # those put to rest for the load step do not
+    moves = np.asarray(numbering.shifts.projectors.any(axis=(1, 2)))
     at, grip = dict[int, tuple[Integers, Integers]](), dict[int, Array]()
     for c, cable in rows.items():
         own = slice(*nodes.starts[c : c + 2])
