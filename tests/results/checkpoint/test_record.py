@@ -213,6 +213,10 @@ CALLS: dict[str, tuple[Callable[..., Scene], dict[str, Any]]] = {
         lambda **new: laid(Cable(**{"EA": 50.0} | new)),
         {"EA": 51.0, "law": "step", "friction": 0.1, "expansion": 1e-5},
     ),
+    "Cable, on a line": (
+        lambda **new: laid(Cable(50.0, **new), path=None, along="left", hold="pocket"),
+        {"diameter": 0.02},
+    ),
     "Friction": (
         lambda **new: laid(Cable(50.0, friction=Friction(**{"mu": 0.1} | new))),
         {"mu": 0.2, "static": 0.3, "along": 0.1, "law": "step", "tolerance": 0.004},
