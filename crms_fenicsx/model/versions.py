@@ -105,6 +105,11 @@ class Versions:
         """Number of the current state; displacements written by users do not change it."""
         return self.current.state_version
 
+    @property
+    def is_newest(self) -> bool:
+        """Whether the current state was reached last, and not restored since."""
+        return self.state_version == self._states
+
     def change_model(self, acts: bool = True) -> None:
         """Number a new model; the equilibrium stays valid unless the change `acts`."""
         was, self._models = self.current, self._models + 1

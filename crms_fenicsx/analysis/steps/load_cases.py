@@ -208,10 +208,13 @@ def staged(solver: Combines, name: str, state: str) -> Iterator[SceneState]:
     _check_outermost(solver, "stage", name)
     _check_strengths(scene, call, state, {})
     before, first, solver.case = solver.snapshot(), len(solver.steps), name
-    scene.record(case=LoadCase(state, before))
+    case = LoadCase(state, before)
+    scene.record(case=case)
     try:
         yield before
-        if len(solver.steps) == first or not scene.in_equilibrium():
+        same = scene.versions.is_newest and scene.case is case  # the block restored no other state
+        if len(solver.steps) == first or not (scene.in_equilibrium() and same):
+            scene.record(case=case)
             solver.advance()
         _check_strengths(scene, call, state, {})
     except ConvergenceError as error:

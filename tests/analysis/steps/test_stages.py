@@ -178,6 +178,27 @@ def test_a_stage_that_changes_nothing_is_solved_and_verified(comm: MPI.Intracomm
     assert step.number == 2 and step.verification is not None and step.verification.passed
 
 
+@pytest.mark.ranks
+@pytest.mark.parametrize("further", [False, True])
+def test_a_state_restored_within_a_stage_is_that_of_its_step(
+    comm: MPI.Intracomm, further: bool
+) -> None:
+    """Neither its step nor its limit state are those of another one; as without the detour."""
+    solver, found = roof(comm), roof(comm)
+    with solver.stage("crew", state="accidental") as before:
+        solver.advance(load={"crew": 2.0})
+        solver.restore(before)
+        if further:
+            solver.advance(load={"crew": 1.0})
+    with found.stage("crew", state="accidental"):
+        found.advance(load={"crew": float(further)})
+    stage, direct = solver.stages["crew"], found.stages["crew"]
+    assert stage.state == direct.state == "accidental"
+    assert stage.base is before and stage.snapshot.case.base is before
+    assert stage.step.energy == solver.scene.energy == pytest.approx(direct.step.energy, rel=1e-9)
+    assert len(found.steps) == 2
+
+
 def test_bad_stages_are_refused_before_anything_is_computed(comm: MPI.Intracomm) -> None:
     solver = roof(comm)
     with solver.stage("crew"):

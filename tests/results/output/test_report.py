@@ -223,6 +223,7 @@ def test_bad_reports_write_nothing(comm: MPI.Intracomm, folder: Path) -> None:
         ({"filename": folder / "parts.html"}, r"parts.html' is a template's name"),
         ({"basis": {"s_k": 0.75}}, "0.75 in basis is of type float"),
         ({"view": (1.0, 2.0, 3.0)}, "view"),
+        ({"cable_strengths": {}}, "option = 'cable_strengths' is not known; use 'title'"),
     ):
         with pytest.raises(InputError, match=words):
             solver.report(**{"filename": page} | options)  # type: ignore[arg-type]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -53,6 +53,8 @@ NOW = "Current state"
 
 def checked_plan(comm: MPI.Intracomm, scene: Scene, filename: str | Path, **options: Any) -> Plan:
     """Checked options of a report. Collective on `comm`."""
+    for name in options:
+        checks.one_of("report: option", name, [one.name for one in fields(Plan)][1:])
     plan = Plan(Path(), **options)
     plan = replace(plan, about=plan.about or {}, basis=plan.basis or {})
     for name in ("title", "unit", "force"):
