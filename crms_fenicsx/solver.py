@@ -656,7 +656,8 @@ class Solver:
         1.4
         """
         checks.own("contact_forces", "cable", cable, self.scene.cables)
-        return contact_forces(cable, self.scene.net.strip_shape()).at(cable.line_nodes())
+        shape, beside = self.scene.net.strip_shape(), self.system.forces_beside()
+        return contact_forces(cable, shape, beside.get(cable)).at(cable.line_nodes())
 
     @collective
     def cable_forces(self) -> dict[str, CableResults]:

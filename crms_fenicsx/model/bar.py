@@ -41,7 +41,7 @@ class Bar:
         Smallest bending stiffness (force x length squared), for the Euler load; None: unknown.
     strength
         Strength in tension, and in compression without buckling, divided by the partial factor
-        (force); None: unknown.
+        (force); None: unknown. Ropes: see `Scene.set_strengths`.
     curve
         Buckling curve of EN 1993-1-1, 6.3.1, of the cross-section and steel, "a0", "a", "b", "c" or
         "d", which needs EI and strength. Or a reduction factor of the strength of your own, 0 to 1.

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
 from crms_fenicsx.foundation.runtime import checks
-from crms_fenicsx.foundation.runtime.arguments import Positive, checked
+from crms_fenicsx.foundation.runtime.arguments import NonNegative, Positive, checked
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.foundation.runtime.checks import counted, span
 from crms_fenicsx.foundation.runtime.errors import InputError
@@ -34,6 +34,9 @@ class Cable:
     expansion
         Coefficient of thermal expansion alpha (per kelvin), 1.2e-5 of steel, needed by temperature
         loads (`Scene.put_temperature`); None: unknown.
+    diameter
+        Diameter (length). Two cables that lie along lines of the mesh and do not cross come no
+        nearer to each other than half the sum of their diameters. The default 0 means no contact.
 
     Examples
     --------
@@ -47,6 +50,7 @@ class Cable:
     law: Literal["total", "step"] = "total"
     friction: float | Friction = 0.0
     expansion: float | None = None
+    diameter: NonNegative = 0.0
 
     def __post_init__(self) -> None:
         check_expansion("Cable", self.expansion)

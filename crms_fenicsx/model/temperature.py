@@ -39,6 +39,11 @@ def checked_changes(
     """Changes (kelvin) of a temperature load by the names of what they mean, `ALL`: of all others;
     members: names by kind."""
     known = [*members, *(name for names in members.values() for name in names)]
+    if isinstance(given, Mapping) and not given:
+        raise InputError(
+            "put_temperature: change = {} changes nothing; pass a number for all, or numbers by "
+            "name, as in {'fabric': -30.0}."
+        )
     found = {}
     for name, change in (given if isinstance(given, Mapping) else {ALL: given}).items():
         if name != ALL:

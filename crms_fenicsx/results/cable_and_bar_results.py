@@ -11,6 +11,7 @@ from crms_fenicsx.cabling.contact.contact_force import contact_forces
 from crms_fenicsx.foundation.meshes.triangles import cross, norm
 from crms_fenicsx.foundation.runtime.arrays import Array, floats
 from crms_fenicsx.foundation.runtime.checks import span
+from crms_fenicsx.model.bar import PlacedBar
 from crms_fenicsx.model.cable import Clamp
 from crms_fenicsx.model.laid_cable import CableEnd, LaidCable
 from crms_fenicsx.model.strengths import SERVICE
@@ -143,7 +144,8 @@ class BarResults:
     buckling
         Euler load (force); None if unknown.
     utilisation
-        Utilisation of the strength; None if unknown, or in a serviceability limit state.
+        Utilisation of the strength; None if unknown, or in a serviceability limit state. Of a guy
+        that `Scene.set_strengths` names, as of a cable.
     """
 
     name: str
@@ -157,7 +159,6 @@ class BarResults:
 
 def bar_results(scene: Scene) -> dict[str, BarResults]:
     """Results of a scene's bars by name."""
-    judged = scene.case.state not in SERVICE
     return {
         bar.name: BarResults(
             bar.name,
@@ -166,10 +167,18 @@ def bar_results(scene: Scene) -> dict[str, BarResults]:
             bar.length,
             bar.L0,
             bar.buckling,
-            bar.utilisation if judged else None,
+            _utilisation(scene, bar),
         )
         for bar in scene.bars
     }
+
+
+def _utilisation(scene: Scene, bar: PlacedBar) -> float | None:
+    """Utilisation of a bar in the present limit state: of ropes that are guys as of cables."""
+    if scene.design.names(bar):
+        limit = scene.design.of_cable(bar.name, scene.case.state)
+        return None if limit is None else bar.force / limit
+    return None if scene.case.state in SERVICE else bar.utilisation
 
 
 def joint_reactions(scene: Scene) -> dict[str, Force]:

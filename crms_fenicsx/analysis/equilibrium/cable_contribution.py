@@ -32,11 +32,12 @@ from crms_fenicsx.energy.terms.membrane_energy import MembraneEnergy
 from crms_fenicsx.energy.terms.term import EnergyTerm
 from crms_fenicsx.foundation.dofs.layout import FrameBlocks
 from crms_fenicsx.foundation.meshes.triangles import norm
-from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, pointers
+from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers, pointers
 from crms_fenicsx.model.laid_cable import LaidCable, polyline_length
 
 if TYPE_CHECKING:
     from crms_fenicsx.energy.terms.axial_friction import CapstanTension
+    from crms_fenicsx.energy.terms.side_contact import Facing, SideContact
 
 logger = logging.getLogger("crms_fenicsx")
 
@@ -49,9 +50,10 @@ class CableContribution(Contribution):
 
     Attributes: `numbering`: numbering of the cable points; `unknowns`: the layout with these
     points; `node_positions`: copies point positions to the cables; `taut`: the cables in tension;
-    `tables`: this rank's elements of these, or None; `tension`, `sliding`: term of the taut cables
-    that slide freely along their axis, and these; `capstan`, `gripped`: term of those with axial
-    friction, and these; `clutches`, `slipping`: of those that may slip through clamps.
+    `tables`: this rank's elements of these, or None; `facing`, `contact`: vertices that face cables
+    beside theirs, on all ranks, and their term, or None; `tension`, `sliding`: term of the taut
+    cables that slide freely along their axis, and these; `capstan`, `gripped`: term of those with
+    axial friction, and these; `clutches`, `slipping`: of those that may slip through clamps.
     """
 
     def __init__(
@@ -60,11 +62,14 @@ class CableContribution(Contribution):
         super().__init__(scene)
         assert scene.net.strip is not None
         nodes, shifts = scene.net.nodes, RowShifts.none()
+        self.facing = self._facing()
         if slide and any(cable.takes_line for cable in scene.cables):
             shape = scene.net.strip_shape()
             kept = kept_vertices(scene)
             shifts = RowShifts.of(scene.cables, nodes, shape, scene.membrane, kept)
-        self.numbering = CableNumbering(scene.cables, scene.net.strip, scene.u, nodes, shifts)
+        self.numbering = CableNumbering(
+            scene.cables, scene.net.strip, scene.u, nodes, shifts, self.facing
+        )
         self.unknowns = self.numbering.unknowns(frame)
         self.numbering.hold(self.unknowns)
         self.node_positions = NodePositions(self.numbering, self.unknowns)
@@ -81,12 +86,35 @@ class CableContribution(Contribution):
             np.array([len(c.part_lengths) for c in self.sliding], dtype=int)
         )
         self.tension: CableTension | None = None
+        self.contact: SideContact | None = None
         self.capstan: CapstanTension | None = None
         self.clutches: CapstanTension | None = None
         self.tables: CableTables | None = None
         if self.taut:
             self.tables = cable_tables(self.numbering, membrane, scene.membrane.pressed)
             scene.membrane.refuse_folds(self.tables.folded.cells, "a cable has slid too far")
+
+    def _facing(self, cells: int | None = None) -> Facing | None:
+        """Vertices that face cables beside theirs within some cells, by default as many as in the
+        contact term, on all ranks, with rows of nodes as blocks; None if none do. Collective."""
+        if not self.scene.net.may_touch:
+            return None
+        from crms_fenicsx.cabling.contact.side_by_side import BESIDE, facing_on_mesh
+
+        cells = BESIDE if cells is None else cells
+        found = facing_on_mesh(self.scene.net, self.scene.materials.values(), cells)
+        return found if len(found.least) else None
+
+    @property
+    def faces_all(self) -> bool:
+        """Whether the contact term has all vertices that may touch in a solve from this mesh.
+        Collective."""
+        near = self._facing(1)
+        if near is None or self.facing is None:
+            return near is None
+        from crms_fenicsx.cabling.contact.side_by_side import faces_all
+
+        return faces_all(self.facing, near)
 
     def folds(self) -> CableTables | None:
         """The tables if some rank has folded cells; global sums need the same terms on all ranks.
@@ -126,6 +154,8 @@ class CableContribution(Contribution):
             grips = axial.clamp_grips(self.slipping)
             self.clutches = CapstanTension(chains, grips, _whole_lengths(self.slipping))
             terms.append(self.clutches)
+        if self.facing is not None:
+            terms.append(self._contact_term(self.facing))
         if holds_points(self.taut):
             shape, materials = self.scene.net.strip_shape(), self.scene.materials.values()
             terms.append(HeldLine(held_points(self.numbering, shape, materials)))
@@ -151,6 +181,20 @@ class CableContribution(Contribution):
         alone = np.concatenate([_parts_of_one_link(own) for own in self.sliding])
         return CableTension(*links, EA, L0, alone)
 
+    def _contact_term(self, facing: Facing) -> EnergyTerm:
+        """The contact of this rank's vertices with cables beside theirs."""
+        from crms_fenicsx.energy.terms.side_contact import SideContact
+
+        numbering = self.numbering
+        own = facing.some(self._own_faces(facing))
+        self.contact = SideContact(own.renumbered(numbering.node_blocks.astype(np.int32)))
+        return self.contact
+
+    def _own_faces(self, facing: Facing) -> Integers:
+        """Which of the facing vertices this rank owns, (k,)."""
+        first = facing.blocks[facing.pointers[:-1]]
+        return np.flatnonzero(self.numbering.node_owners[first] == self.numbering.rank)
+
     def _stiffnesses(self) -> Array:
         """Axial stiffnesses of the parts of the sliding cables (force)."""
         EA = np.array([cable.cable.EA for cable in self.sliding], dtype=np.float64)
@@ -172,6 +216,14 @@ class CableContribution(Contribution):
             )
         if self.capstan is not None:
             self.capstan.L0[:] = _whole_lengths(self.gripped)
+        if self.facing is not None and self.contact is not None:
+            from crms_fenicsx.cabling.contact.side_by_side import stiffnesses
+
+            nodes, shape = numbering.nodes, self.scene.net.strip_shape()
+            self.facing.stiffness[:] = stiffnesses(
+                self.facing, nodes, shape, self.scene.materials.values()
+            )
+            self.contact.table.stiffness[:] = self.facing.stiffness[self._own_faces(self.facing)]
         if self.clutches is not None:
             from crms_fenicsx.cabling.friction.axial import clamp_grips
 

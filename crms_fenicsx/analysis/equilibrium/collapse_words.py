@@ -26,10 +26,16 @@ def collapse_words(scene: Scene, place: Array, near: Sequence[LaidCable]) -> str
     stays = [cable.name for cable in near if cable.name not in slides]
     where = f"cells near {as_text(place)} collapse"
     if len(slides) > 1:
+        close = f"{slides[0]} and {slides[1]} come so close to each other that {where} between them"
+        if all(cable.cable.diameter > 0.0 for cable in near if cable.name in slides[:2]):
+            return (
+                f"{close} before they touch, to less than a thousandth of their first areas; lay "
+                "the lines nearer to each other, or hold them with slide=False"
+            )
         return (
-            f"{slides[0]} and {slides[1]} come so close to each other that {where} between them: "
-            "lines of the mesh cannot touch side by side; lay one of both cables by its path, "
-            f"without `along`, lay them further apart, or hold the lines with slide=False"
+            f"{close}: give both cables their diameters, at which they touch side by side, lay one "
+            "of them by its path, without `along`, lay them further apart, or hold the lines with "
+            "slide=False"
         )
     who = slides[0] if slides else "the cables"
     what = stays[0] if stays else _nearest(scene, place)

@@ -7,6 +7,7 @@ is updated from solved states. The path of a lifted cable part is kept below its
 from __future__ import annotations
 
 import logging
+import math
 import operator
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -53,7 +54,7 @@ class ContactLoop:
             changes = ["paths pulled taut"]
         system.hold_rows(flat=h0_prestress[0] > 0.0)
         total: Outcome | None = None
-        looked, ended, way, settled = False, False, 0.0, 0
+        looked, ended, way = False, False, 0.0
 
         def interrupt(residual: float, scale: float, last: bool) -> bool:
             nonlocal changes, looked, ended
@@ -91,14 +92,15 @@ class ContactLoop:
             elif not changes and not looked and not ended:  # a look may have changed paths
                 system.write_scene()
             solved = outcome.reason != "interrupted" and not changes
+            last = math.inf if begins else way
             way = system.follow_rows(begins, solved, self._once)
             if system.collapse:
                 return replace(total, converged=False, reason=system.collapse)
             # friction is updated from places also near equilibrium, where a look ends a solve; at
-            # the end it is in balance where the rows then lie, if that does not take for ever
-            settled += way <= SETTLED
-            rests = way <= (NEAR if outcome.reason == "interrupted" else 0.0)
-            if not changes and (self._once or rests or settled > BUDGET.changes):
+            # the end it is in balance where the rows then lie, to the solver's tolerance, at which
+            # small shifts no longer shrink
+            rests = way <= NEAR if outcome.reason == "interrupted" else last <= way <= SETTLED
+            if not changes and (self._once or rests or way == 0.0):
                 if way > 0.0:
                     system.renew_base()
                 if not looked and look is not None:

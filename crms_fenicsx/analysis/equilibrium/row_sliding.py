@@ -191,10 +191,11 @@ class RowSliding:
         """Move vertices of rows that lie beside the spans above them, a few times in a solve;
         return the largest way relative to the cell size, 0 if all are small, and the places.
         Collective."""
-        spans = [span for cable in self.scene.cables for span in _spans(cable)]
-        if not spans or self._aside == BUDGET.changes:
+        lifted = [cable for cable in self.scene.cables if _has_spans(cable)]
+        if not lifted or self._aside == BUDGET.changes:
             return 0.0, X, x
         motion = self._renewed(rows.vertices)
+        spans = [span for cable in lifted for span in _spans(cable, self._rows.index(cable))]
         found = motion.under(X, x, spans)
         way = float((norm(found[0] - X) / motion.size).max(initial=0.0))
         way = float(self.scene.comm.allreduce(way, op=MPI.MAX))
@@ -229,15 +230,18 @@ class RowSliding:
         return self._motion
 
 
-def _spans(cable: LaidCable) -> list[Span]:
-    """The row vertices under each span of a taut cable along a line, and the span's ends."""
+def _has_spans(cable: LaidCable) -> bool:
+    """Whether a taut cable along a line has lifted off."""
+    return cable.state.laid.line is not None and cable.taut and bool(cable.state.lifted.any())
+
+
+def _spans(cable: LaidCable, row: int) -> list[Span]:
+    """The vertices of its row under each span of a cable, and the span's ends."""
     state = cable.state
-    if state.laid.line is None or not cable.taut or not state.lifted.any():
-        return []
     ids = np.array([-1 if k.kind != "vertex" else k.support[0] for k in state.nodes])
     ends = np.flatnonzero(~state.lifted)
     return [
-        (below[below >= 0], state.positions[i], state.positions[j])
+        (row, below[below >= 0], state.positions[i], state.positions[j])
         for i, j in pairwise(ints(ends))
         if (below := ids[i + 1 : j]).max(initial=-1) >= 0
     ]

@@ -29,6 +29,7 @@ from crms_fenicsx.energy.terms.term import EnergyTerm
 from crms_fenicsx.foundation.dofs.layout import Unknowns
 from crms_fenicsx.foundation.runtime.arrays import Array, Integers
 from crms_fenicsx.model.cable_state import NodeId
+from crms_fenicsx.model.laid_cable import LaidCable
 
 if TYPE_CHECKING:
     from crms_fenicsx.analysis.equilibrium.cable_contribution import CableContribution
@@ -244,7 +245,11 @@ class System:
 
     def renew_base(self) -> None:
         """Start from the stress-free places that the membrane has now. Collective."""
-        assert self.shifts is not None
+        assert self.shifts is not None and self.cables is not None
+        if not self.cables.faces_all:  # rows have come near each other
+            self.rebuild()
+            self.read_scene()
+            return
         self.membrane.renew_places()
         if isinstance(self.pressure.term, FollowerPressure):
             self.pressure.renew_places(self.pressure.term)
@@ -285,6 +290,15 @@ class System:
         self.objective = self.scene.energy
         for part in self.parts:
             part.write_scene(self.potential)
+
+    def forces_beside(self) -> dict[LaidCable, Array]:
+        """Forces (n, 3) at the nodes of cables that touch others side by side; none without
+        diameters. Collective."""
+        if not self.scene.net.may_touch:
+            return {}
+        from crms_fenicsx.cabling.contact.side_by_side import forces_beside
+
+        return forces_beside(self.scene.net, self.scene.materials.values())
 
     def renew_friction(self) -> None:
         """Update the potential's friction forces from the cables. Collective."""

@@ -98,7 +98,7 @@ def _checked_pressure(
         fans = (pressure,) if isinstance(pressure, FanControl) else tuple(pressure)
         checks.collection("advance: pressure", fans, Sequence, "[FanControl(...), ...]", 1)
         for one in fans:
-            checks.of_type("advance: pressure", one, FanControl)
+            checks.of_type(f"advance: an item of pressure = {pressure!r}", one, FanControl)
         offset = scene.pressure - FanControl.highest(fans, scene.factors)
         return _InnerPressure(offset, 0.0, fans=fans)
     last = scene.pressure if pressure is None else checks.finite("advance: pressure", pressure)

@@ -50,6 +50,7 @@ LIMITS = {
     "depth below another cable": 1e-3,
     "held by a line of the mesh": 0.03,
     "held by vertices": 0.05,
+    "depth in a cable beside": 0.01,
     "sideways balance": UNBALANCED,
     "held where its line stays": 0.05,
     "sideways force without friction": 0.3,
@@ -67,7 +68,7 @@ MESH_DEPENDENT = {
     "pull on the membrane", "depth below the membrane", "depth below another cable",
     "friction beyond its bound", "held by a line of the mesh", "held by vertices",
     "sideways force without friction", "unbalanced forces of cables", "sideways balance",
-    "held where its line stays",
+    "held where its line stays", "depth in a cable beside",
 }  # fmt: skip
 """Checks that depend on the mesh size, or on forces that are small beside the scene's largest, by
 which the solver stops: a state that fails them is doubtful."""
@@ -138,7 +139,8 @@ class CableVerifier:
         held = [cable.keeps_line or not system.slide for cable in scene.cables]
         lines = Polylines(scene.net.nodes, positions_of(scene.cables), np.array(held, dtype=bool))
         outward, depths = outward_pulls(scene, lines, shape), below_others(scene, lines, shape)
-        rows = row_checks(system, loads, shape)
+        beside, depths_beside = _beside(system) if scene.net.may_touch else ({}, {})
+        rows = row_checks(system, loads, shape, beside)
         for c, (cable, nodes) in enumerate(zip(scene.cables, self._nodes, strict=True)):
             for k, name in enumerate(cable.state.laid.joints):
                 if name is not None:
@@ -153,7 +155,9 @@ class CableVerifier:
                     values |= contacts(cable, nodes.on, nodes.on_edge, shape, own)
                 if cable in depths:
                     values["depth below another cable"] = depths[cable]
-                values |= forces(cable, shape, free[c])
+                if cable in depths_beside:
+                    values["depth in a cable beside"] = depths_beside[cable]
+                values |= forces(cable, shape, free[c], beside.get(cable))
                 values |= rows.get(cable, {})
             elif cable.cable.law == "total":
                 short = np.linalg.norm(
@@ -179,6 +183,14 @@ class CableVerifier:
             Check(name, float(value), LIMITS[name], found[name][1], name not in MESH_DEPENDENT)
             for name, value in zip(names, worst, strict=True)
         ]
+
+
+def _beside(system: System) -> tuple[dict[LaidCable, Array], dict[LaidCable, float]]:
+    """Forces (n, 3) at the nodes of cables that touch others side by side, and how much nearer
+    they are than both radii, relative to these. Collective."""
+    from crms_fenicsx.cabling.contact.side_by_side import overlaps
+
+    return system.forces_beside(), overlaps(system.scene.cables)
 
 
 def _apart(scene: Scene) -> list[float]:

@@ -127,8 +127,11 @@ def below_others(scene: Scene, lines: Polylines, shape: StripShape) -> dict[Laid
     return depths
 
 
-def forces(cable: LaidCable, shape: StripShape, free: float) -> dict[str, float]:
-    """Force errors of a cable relative to its contact force."""
+def forces(
+    cable: LaidCable, shape: StripShape, free: float, beside: Array | None
+) -> dict[str, float]:
+    """Force errors of a cable relative to its contact force, with forces of cables `beside` it
+    (n, 3)."""
     ways = np.diff(cable.state.positions[cable.contacts()], axis=0)
     (long,) = np.nonzero(norm(ways) > SAME_PLACE * cable.length)  # shorter spans have no direction
     ways = ways[long] * (cable.part_tensions[long] / norm(ways[long]))[:, None]
@@ -143,7 +146,7 @@ def forces(cable: LaidCable, shape: StripShape, free: float) -> dict[str, float]
         normal, pull = forces_at(cable, _folds(cable), shape)
         beyond = np.maximum(np.abs(pull) - TOL.uneven * np.abs(normal), 0.0)
         values["sideways force without friction"] = float(beyond.sum()) / press
-    return values | _friction(cable, shape, least)
+    return values | _friction(cable, shape, least, beside)
 
 
 def _held(cable: LaidCable, shape: StripShape, press: float) -> dict[str, float]:
@@ -170,7 +173,9 @@ def _folds(cable: LaidCable) -> list[int]:
     ]
 
 
-def _friction(cable: LaidCable, shape: StripShape, least: float) -> dict[str, float]:
+def _friction(
+    cable: LaidCable, shape: StripShape, least: float, beside: Array | None
+) -> dict[str, float]:
     """Friction forces beyond their bounds, relative to the contact force; negative dissipation."""
     values: dict[str, float] = {}
     friction = cable.cable.sideways
@@ -180,7 +185,7 @@ def _friction(cable: LaidCable, shape: StripShape, least: float) -> dict[str, fl
     from crms_fenicsx.cabling.friction.lateral import energies
 
     if friction is not None and cable.has_coulomb and cable.state.law.lateral is not None:
-        forces = contact_forces(cable, shape)
+        forces = contact_forces(cable, shape, beside)
         bounds = friction.at_rest * forces.bearing
         if friction.cone:
             bounds[held_nodes(cable)] *= _left_sideways(cable, shape)

@@ -92,11 +92,16 @@ def _of_cable(cable: LaidCable, failed: Sequence[Check], shape: StripShape) -> I
             f"{cable.name!r} runs up to {depth:.2g} of a cell under a cable that it lies over; "
             "another load step lets them touch"
         )
+    if "depth in a cable beside" in by_name:
+        yield (
+            f"{cable.name!r} is nearer to a cable beside it than both radii, by "
+            f"{by_name['depth in a cable beside']:.1%}: their contact is as soft as the fabric"
+        )
     if "held where its line stays" in by_name:
         yield (
             f"{cable.name!r} is held sideways by {by_name['held where its line stays']:.0%} of its "
-            "contact force where its line cannot slide: at bars, loads on vertices, ends of other "
-            "cables, creases or borders of parts"
+            "contact force where its line stays: at bars, loads on vertices, ends of other cables, "
+            "creases or borders of parts, or where it would not come to rest in the load step"
         )
     if "sideways balance" in by_name:
         share = by_name["sideways balance"]

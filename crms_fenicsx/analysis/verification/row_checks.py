@@ -14,6 +14,8 @@ contact forces it is the part of them that is unbalanced.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from mpi4py import MPI
 
@@ -33,11 +35,11 @@ from crms_fenicsx.model.tolerances import TOL
 
 
 def row_checks(
-    system: System, loads: Array, shape: StripShape
+    system: System, loads: Array, shape: StripShape, beside: Mapping[LaidCable, Array]
 ) -> dict[LaidCable, dict[str, float]]:
     """Errors of the taut cables that slide sideways along lines: unbalanced sideways forces, and
     those at vertices of their rows that do not shift, relative to their contact forces. Collective.
-    Shapes and units: loads (n_local, 3) (force)."""
+    Shapes and units: loads (n_local, 3), beside (n, 3) at each cable's nodes (force)."""
     assert system.cables is not None
     numbering = system.cables.numbering
     rows = {
@@ -52,14 +54,17 @@ def row_checks(
     bounds = np.zeros(len(vertices))
     if system.shifts is not None:
         forces = _forces_on_cells(system.shifts, loads, shape)
+    moves = numbering.shifts.projectors.any(axis=(1, 2))  # others rest for the load step
     at, grip = dict[int, tuple[Integers, Integers]](), dict[int, Array]()
     for c, cable in rows.items():
         own = slice(*nodes.starts[c : c + 2])
         on = np.flatnonzero((nodes.kind[own] == VERTEX) & ~nodes.lifted[own])
         place = np.searchsorted(vertices, nodes.support[own][on, 0])
         shifts = np.append(vertices, -1)[place] == nodes.support[own][on, 0]
+        shifts[shifts] = moves[place[shifts]]
         at[c] = on[shifts], place[shifts]
-        np.subtract.at(forces, at[c][1], pulls[c][at[c][0]] * numbering.shifts.held[at[c][1], None])
+        pull = pulls[c] + beside.get(cable, 0.0)
+        np.subtract.at(forces, at[c][1], pull[at[c][0]] * numbering.shifts.held[at[c][1], None])
         grip[c] = _bounds(cable, shape)
         np.add.at(bounds, at[c][1], grip[c][at[c][0]])
         np.add.at(forces, at[c][1], _rubbing(cable, at[c][0], shape))
@@ -71,7 +76,7 @@ def row_checks(
         least = FLAT * cable.tension if is_tense(cable) else np.inf
         contact = max(float(np.linalg.norm(pulls[c])), least)
         press = max(float(norm(pulls[c]).sum()), least)
-        aside = _held_aside(numbering, c, at[c][0], grip[c], shape)
+        aside = _held_aside(numbering, c, at[c][0], grip[c], shape, beside.get(cable))
         found[cable] = {
             "sideways balance": float(np.linalg.norm(left[at[c][1]])) / contact,
             "held where its line stays": aside / press,
@@ -109,8 +114,9 @@ def _bounds(cable: LaidCable, shape: StripShape) -> Array:
 
 
 def _held_aside(
-    numbering: CableNumbering, c: int, shifting: Integers, grip: Array, shape: StripShape
-) -> float:
+    numbering: CableNumbering, c: int, shifting: Integers, grip: Array, shape: StripShape,
+    beside: Array | None,
+) -> float:  # fmt: skip
     """Sum of a cable's sideways forces, beyond friction, at vertices within its row that do not
     shift: not along the membrane's boundary, at clamps, nor where another cable is sewn on."""
     nodes, cable = numbering.nodes, numbering.cables[c]
@@ -123,7 +129,7 @@ def _held_aside(
     sewn = np.array([not HOLDS[other.hold].sideways for other in numbering.cables], dtype=bool)
     others = nodes.support[(nodes.size == 1) & sewn[nodes.cable], 0]
     (k,) = np.nonzero(stays & ~np.isin(nodes.support[own][:, 0], others))
-    lateral = np.abs(forces_at(cable, ints(k), shape)[1])
+    lateral = np.abs(forces_at(cable, ints(k), shape, beside)[1])
     return float(np.maximum(lateral - grip[k] - TOL.contact * cable.tension, 0.0).sum())
 
 

@@ -92,6 +92,11 @@ class CableNet:
         """Whether some cable has lateral friction."""
         return not all(cable.slides_freely for cable in self.cables)
 
+    @property
+    def may_touch(self) -> bool:
+        """Whether two cables in tension have diameters, so that they may touch side by side."""
+        return sum(one.cable.diameter > 0.0 and one.taut for one in self.cables) > 1
+
     def cable(self, name: str) -> LaidCable:
         """Cable of a given name."""
         return checks.named("cable", {cable.name: cable for cable in self.cables}, name)

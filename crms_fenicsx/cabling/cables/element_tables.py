@@ -344,11 +344,16 @@ def holds_points(cables: Iterable[LaidCable]) -> bool:
     return any(c.taut and c.keeps_line and any(n.slides for n in c.state.nodes) for c in cables)
 
 
+def stiffest(materials: Iterable[MembraneMaterial]) -> float:
+    """Stiffness of the stiffest fabric (force per length)."""
+    return max(m.reference_modulus + float(np.abs(m.prestress_vector).max()) for m in materials)
+
+
 def held_points(
     numbering: CableNumbering, shape: StripShape, materials: Iterable[MembraneMaterial]
 ) -> HeldPoints:
     """Points of taut cables that are held on their edges."""
-    fabric = max(m.reference_modulus + float(np.abs(m.prestress_vector).max()) for m in materials)
+    fabric = stiffest(materials)
     rows, rest, lengths = [], [], []
     for c, cable in enumerate(numbering.cables):
         for k, node in enumerate(cable.state.nodes):

@@ -27,6 +27,7 @@ from crms_fenicsx.cabling.cables.points_on_edges import (
 )
 from crms_fenicsx.cabling.cables.row_shifts import RowShifts
 from crms_fenicsx.cabling.cables.strip import NOBODY, Strip, StripShape
+from crms_fenicsx.energy.terms.segments import BlockLists
 from crms_fenicsx.foundation.dofs.layout import FrameBlocks, Unknowns, vertex_places
 from crms_fenicsx.foundation.meshes.triangles import lists
 from crms_fenicsx.foundation.runtime.arrays import Array, Indices, Integers, pointers, runs
@@ -97,8 +98,11 @@ class CableNumbering:
         u: fem.Function,
         nodes: NodeTable | None = None,
         shifts: RowShifts | None = None,
+        facing: BlockLists | None = None,
     ) -> None:
-        self.cables, self.strip, self.u = tuple(cables), strip, u
+        """Number the points of cables; where rows of the table of nodes face others, the owner of
+        each first one knows those behind it."""
+        self.cables, self.strip, self.u, self._facing = tuple(cables), strip, u, facing
         self.shifts = RowShifts.none() if shifts is None else shifts
         self.rank = u.function_space.mesh.comm.rank
         self.nodes = NodeTable.of(self.cables, nodes)
@@ -189,6 +193,9 @@ class CableNumbering:
         ends = np.stack([links.first, links.second], axis=1)
         numbers = self.number[ends[links.owner == self.rank]]
         needed[numbers[numbers >= 0]] = True
+        faced, facing = self._faced()  # held vertices follow their shifts, also far ones
+        mine = self.nodes.support[faced[facing == self.rank], 0]
+        needed[self.n_nodes + np.flatnonzero(np.isin(self.shifts.vertices, mine))] = True
         self.owned = np.flatnonzero(self.owners == self.rank)
         index = np.zeros(len(self.owners), dtype=np.int64)
         for rank in np.unique(self.owners):
@@ -204,8 +211,16 @@ class CableNumbering:
         given = np.isin(self.nodes.kind[ends], (VERTEX, EDGE_SLIDER, TIED))
         supports = self.nodes.support[ends[given]]
         far = np.stack([np.repeat(owner[given], 3), supports.ravel()], axis=1)
+        far = np.append(far, np.stack([facing, self.nodes.support[faced, 0]], axis=1), axis=0)
         # Vertices at ends of spans, on ranks that lack them.
         self._find_far_vertices(far[far[:, 1] >= 0])
+
+    def _faced(self) -> tuple[Integers, Integers]:
+        """Rows (n,) of nodes that face others, and ranks that compute these contacts."""
+        if self._facing is None:
+            return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
+        rows, begins = self._facing.blocks.astype(np.int64), self._facing.pointers
+        return rows, np.repeat(self.node_owners[rows[begins[:-1]]], np.diff(begins))
 
     def _find_far_vertices(self, far: Integers) -> None:
         """Find owner and number of vertices that ends of this rank's spans depend on but that it
@@ -278,11 +293,18 @@ class CableNumbering:
         return np.flatnonzero(self.owners[self.n_nodes :] == self.rank)
 
     def place_shifts(self, unknowns: Unknowns) -> None:
-        """Put the shifts of this rank where their vertices are now, which tied ones follow."""
+        """Put the shifts of this rank where their vertices are now, which tied ones follow.
+        Collective."""
         here = np.flatnonzero(self.shift_blocks >= 0)
         own, blocks = self.shifts.nodes[here], self.shifted_blocks[here]
         dofs = self.dofs[self.strip.simplices.corners[self.on[own], 0]]
         u = self.u.x.array.reshape(-1, 3)[dofs]
+        if self._facing is not None:  # some may be far vertices
+            vector, x = unknowns.vector()
+            x[unknowns.vertex_blocks()] = self.u.x.array.reshape(-1, 3)
+            unknowns.update_ghosts(vector)
+            u = x[blocks]
+            vector.destroy()
         unknowns.X[self.shift_blocks[here]] = unknowns.X[blocks] + u
 
     def place_points(self, places: Array) -> None:

@@ -39,6 +39,8 @@ class ContactForces:
         force in the surface, positive to the left seen from outside (force).
     bearing : (n,)
         Share of the smoothed normal force of each node's stretch of cable (force).
+    beside : (n, 3)
+        Force of cables that touch it side by side (force), which the membrane does not get.
     line : (n,)
         Smoothed normal force per length of cable (force per length); NaN off the membrane.
     """
@@ -47,6 +49,7 @@ class ContactForces:
     lateral: Array
     bearing: Array
     line: Array
+    beside: Array
 
     def __repr__(self) -> str:
         """One line."""
@@ -73,8 +76,11 @@ def supports_of(cable: LaidCable) -> Sequence[Support]:
     return [cable.state.nodes[k].support for k in held_nodes(cable)]
 
 
-def contact_forces(cable: LaidCable, shape: StripShape) -> ContactForces:
-    """Contact forces of a cable in its current shape, with its current tension.
+def contact_forces(
+    cable: LaidCable, shape: StripShape, beside: Array | None = None
+) -> ContactForces:
+    """Contact forces of a cable in its current shape, with its current tension, and with forces of
+    cables `beside` it (n, 3) on its nodes.
 
     With e the direction of the edge at a node, t1 and t2 those of the cable before and after, and t
     their mean, ``normal = -(T2 t2 - T1 t1) . n`` with n = e x t outward; the tensions T1 and T2
@@ -82,19 +88,20 @@ def contact_forces(cable: LaidCable, shape: StripShape) -> ContactForces:
     membrane; the lower one transfers that force beside the crossing.
     """
     n = len(cable.state.nodes)
+    beside = np.zeros((n, 3)) if beside is None else beside
     normal, lateral, bearing = np.zeros((3, n))
     line = np.full(n, np.nan)
     if not cable.taut:
-        return ContactForces(normal, lateral, bearing, line)
+        return ContactForces(normal, lateral, bearing, line, beside)
     nodes, before, after = _turns_on_membrane(cable)
     up, left = directions(cable, nodes, shape, before, after)
-    pull = _pulls(cable, nodes, before, after)
+    pull = _pulls(cable, nodes, before, after) + beside[nodes]
     normal[nodes], lateral[nodes] = -dot(pull, up), dot(pull, left)
     for run in runs(cable):
         _smooth_line_load(cable, run, shape, normal, bearing, line)
     if not cable.lifts_off:  # it bears from below as well
-        return ContactForces(normal, lateral, np.abs(bearing), np.abs(line))
-    return ContactForces(normal, lateral, np.maximum(bearing, 0.0), line)
+        return ContactForces(normal, lateral, np.abs(bearing), np.abs(line), beside)
+    return ContactForces(normal, lateral, np.maximum(bearing, 0.0), line, beside)
 
 
 def wrap_angles(cable: LaidCable, shape: StripShape) -> Array:
@@ -144,9 +151,11 @@ def paper_forces(cable: LaidCable) -> Array:
     return forces
 
 
-def forces_at(cable: LaidCable, nodes: Sequence[int], shape: StripShape) -> tuple[Array, Array]:
+def forces_at(
+    cable: LaidCable, nodes: Sequence[int], shape: StripShape, beside: Array | None = None
+) -> tuple[Array, Array]:
     """Normal and lateral forces (m,) of a cable on the membrane at `nodes` (m,), as in
-    `ContactForces`."""
+    `contact_forces`."""
     turned, before, after = _turns(cable)
     wanted = np.asarray(nodes, dtype=np.int64)
     at = np.minimum(np.searchsorted(turned, wanted), max(len(turned) - 1, 0))
@@ -154,6 +163,7 @@ def forces_at(cable: LaidCable, nodes: Sequence[int], shape: StripShape) -> tupl
     found, before, after = wanted[rows], before[at[rows]], after[at[rows]]
     up, left = directions(cable, found, shape, before, after)
     pull = _pulls(cable, found, before, after)
+    pull = pull if beside is None else pull + beside[found]
     normal, lateral = np.zeros((2, len(nodes)))
     normal[rows], lateral[rows] = -dot(pull, up), dot(pull, left)
     return normal, lateral

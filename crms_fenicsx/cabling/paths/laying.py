@@ -16,7 +16,13 @@ import numpy as np
 from crms_fenicsx.cabling.cables.cable_net import CableNet
 from crms_fenicsx.cabling.cables.strip import StripShape, cells_at, own_surface
 from crms_fenicsx.cabling.paths.creased_surface import refuse_forks, refuse_places_behind
-from crms_fenicsx.cabling.paths.placing import MeasuredOn, MembraneBelow, check_law, put
+from crms_fenicsx.cabling.paths.placing import (
+    MeasuredOn,
+    MembraneBelow,
+    check_distance,
+    check_law,
+    put,
+)
 from crms_fenicsx.cabling.paths.routes import cells_below, shortened, traced_over_holes
 from crms_fenicsx.foundation.meshes.membrane_mesh import MembraneMesh, rows_of
 from crms_fenicsx.foundation.meshes.triangles import closest_on_segments, norm, vectors
@@ -182,6 +188,7 @@ def lay_along(
         )
         for one, way in zip(lines, ways, strict=True)
     )
+    check_distance([*net.cables, *laid], len(laid))
     net.add(laid, strip)
     return laid
 

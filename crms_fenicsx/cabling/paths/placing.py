@@ -199,6 +199,12 @@ def check_law(
                 'but its friction has law="step", that of an edge which a cable crosses; use '
                 'law="coulomb", or lay it by its path, without `along`.'
             )
+    if line is None and cable.diameter > 0.0:
+        raise InputError(
+            f"lay_cable: {name!r} has the diameter {cable.diameter:g} but lies across the cells of "
+            "the mesh, where cables do not touch side by side; lay it along a line of the mesh, or "
+            "leave its diameter out."
+        )
     if hold == "bonded" and cable.law == "step":
         raise InputError(
             f'lay_cable: {name!r} is bonded, but its law "step" has one tension for the whole '
@@ -209,6 +215,14 @@ def check_law(
     for key, value in (("L0", L0), ("tension", tension)):
         if value is not None:
             checks.positive(f"lay_cable: {name!r} with {key}", value)
+
+
+def check_distance(cables: Sequence[LaidCable], new: int) -> None:
+    """Check that the last `new` cables lie as far from others as their diameters need."""
+    if any(one.cable.diameter > 0.0 for one in cables[-new:]):
+        from crms_fenicsx.cabling.contact.side_by_side import refuse_too_near
+
+        refuse_too_near(cables, new)
 
 
 def _follows_free_edge(path: Path, below: MembraneBelow) -> bool:

@@ -112,7 +112,7 @@ def _seam_table(pattern: Pattern, units: Units) -> Table:
     sums = {seam: lengths.sum(axis=0).tolist() for seam, lengths in pattern.seam_lengths().items()}
     rows: list[tuple[Cell, ...]] = [
         (seam, *map(units.exact, (one, other, abs(one - other))))
-        for seam, (one, other) in sums.items()
+        for seam, (one, other) in sorted(sums.items(), key=lambda one: (len(one[0]), one[0]))
     ]
     heads = "Seam|One side{length}|Other side{length}|Difference{length}"
     return Table("Seams", units.headings(heads), rows, "seams")
@@ -134,4 +134,4 @@ def _comparison_table(pattern: Pattern, comparison: Comparison, units: Units) ->
     heads = "Piece|Warp, mean{stress}|scatter{stress}|least{stress}|Weft, mean{stress}|"
     heads += "scatter{stress}|least{stress}|Off the form{length}|Wrinkled [%]"
     heads += "|Width without compression{length}" if len(rows[0]) > 9 else ""
-    return Table(caption, units.headings(heads), rows, "sewn")
+    return Table(caption, units.headings(heads), rows, "sewn", small=True)

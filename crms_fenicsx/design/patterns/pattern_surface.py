@@ -99,18 +99,19 @@ class PatternSurface(CheckedSurface):
         return known
 
     def crossings(self, values: Array) -> list[tuple[SurfacePoint, ...]]:
-        """The zero lines of vertex values (n,), linear in between.
+        """The zero lines of vertex values (n,), linear in between, in cells where all are finite.
 
         From end to end; a closed line ends at its first point.
         """
         arcs: dict[SurfacePoint, list[SurfacePoint]] = {}
-        pairs = self.table.vertices
+        known = np.isfinite(values)
+        pairs = self.table.vertices[known[self.table.vertices].all(axis=1)]
         change = np.abs(values[pairs[:, 0]] - values[pairs[:, 1]])
         reach = np.zeros(len(values))
         np.maximum.at(reach, pairs, np.repeat(change[:, None], 2, axis=1))
-        near = np.abs(values) <= ON_VERTEX * reach
+        near = ~known | (np.abs(values) <= ON_VERTEX * reach)
         sign = np.where(near, 0, np.sign(values)).astype(int)
-        met = np.abs(sign[self.cells].sum(axis=1)) < 3
+        met = (np.abs(sign[self.cells].sum(axis=1)) < 3) & known[self.cells].all(axis=1)
         for cell in lists(self.cells[met & (np.count_nonzero(sign[self.cells], axis=1) > 0)]):
             nodes: list[SurfacePoint] = [VertexPoint(v) for v in cell if sign[v] == 0]
             for a, b in ((cell[0], cell[1]), (cell[1], cell[2]), (cell[2], cell[0])):

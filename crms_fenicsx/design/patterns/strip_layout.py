@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import chain, pairwise
 from typing import Literal
 
 import numpy as np
@@ -12,18 +13,23 @@ import numpy as np
 from crms_fenicsx.design.patterns.compensation import warp_moduli
 from crms_fenicsx.design.patterns.flattening import aligned, conformal
 from crms_fenicsx.design.patterns.pattern import Materials, Warp, of_cells
-from crms_fenicsx.design.patterns.pattern_surface import PatternSurface, straight_line
+from crms_fenicsx.design.patterns.pattern_surface import (
+    ON_VERTEX,
+    PatternSurface,
+    straight_line,
+)
 from crms_fenicsx.design.patterns.pieces import Pieces
 from crms_fenicsx.design.patterns.seams import Line, Seam, points_of, seam_of
 from crms_fenicsx.foundation.meshes.membrane_mesh import MembraneMesh
 from crms_fenicsx.foundation.meshes.triangles import arc_lengths
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arguments import Finite, Positive, collective
-from crms_fenicsx.foundation.runtime.arrays import Array
-from crms_fenicsx.foundation.runtime.errors import InputError, PathError, raised_together
+from crms_fenicsx.foundation.runtime.arrays import Array, ints
+from crms_fenicsx.foundation.runtime.errors import InputError, PathError, as_text, raised_together
 from crms_fenicsx.foundation.surface.flip_geodesic import shorten
-from crms_fenicsx.foundation.surface.points import SurfacePoint
+from crms_fenicsx.foundation.surface.points import SurfacePoint, VertexPoint
 from crms_fenicsx.model.materials import Direction, check_warp
+from crms_fenicsx.model.tolerances import SAME_PLACE
 
 MOST_STRIPS = 1000
 """Maximum number of strips between two lines."""
@@ -49,15 +55,19 @@ def strips(
     """Make seams between two lines for the fewest strips of a given width. Collective.
 
     Seams divide the distance between the lines evenly; geodesic ones are then pulled taut between
-    their ends, which saves fabric. Strips are added until the distance between neighbouring seams
-    over the surface fits the width. `flatten` and the layout on the roll check the flat pieces.
+    their ends, which saves fabric. Between lines that meet in a corner, such as two neighbouring
+    edges of a sail, strips fan out from the corner and are alike in width. Strips are added until
+    the distance between neighbouring seams over the surface fits the width. Where a seam touches an
+    edge that curves inward, it ends, and another goes on from where it leaves. `flatten` and the
+    layout on the roll check the flat pieces.
 
     Parameters
     ----------
     mesh
         The surface, such as `FoundForm.mesh`.
     first, last
-        Two lines, seams or names of groups of edges, such as two opposite sides of a hall.
+        Two lines, seams or names of groups of edges, such as two opposite sides of a hall, or two
+        that meet at one or both of their ends.
     width
         Width of the roll (length).
     kind
@@ -80,8 +90,8 @@ def strips(
     InputError
         On all ranks: a roll narrower than both allowances, or an invalid argument.
     PathError
-        On all ranks: lines without seams between them, or a warp that leads from one line to the
-        other.
+        On all ranks: lines without seams between them, or that meet elsewhere than at their ends,
+        or a warp that leads from one line to the other.
 
     Examples
     --------
@@ -94,31 +104,31 @@ def strips(
     ends = [points_of(surface, "strips", line) for line in (first, last)]
     from_first, from_last = (surface.distances(points) for points in ends)
     whole = from_first + from_last
-    if not np.isfinite(whole).all() or not whole.min() > 0.0:
-        raise PathError(
-            "strips: the lines first and last meet, or do not lie on one connected surface."
-        )
-    count = math.ceil(float(whole.min()) / usable * (1.0 - 1e-9))
+    _check_apart(surface, whole, ends)
+    whole[whole <= SAME_PLACE * whole.max()] = 0.0
+    part = from_first / np.where(whole > 0.0, whole, np.nan)
+    fan = whole.min() == 0.0
+    count = max(math.ceil(float(whole.min()) / usable * (1.0 - 1e-9)), 1)
     while count <= MOST_STRIPS:
-        lines = [
-            _line(surface, from_first / whole - k / count, whole, kind, warp)
-            for k in range(1, count)
-        ]
-        ends_at = [[_at(p, from_first / whole) for p in (line[0], line[-1])] for line in lines]
-        if warp is not None and any(abs(a - b) > 1.0 - 1e-9 for a, b in ends_at):
-            raise PathError(
-                "strips: the warp leads from first to last, so that seams along it make no strips "
-                "between these; use two lines beside the warp."
+        at, widest = np.linspace(0.0, 1.0, count + 1), np.inf
+        while True:
+            middles = (at[:-1] + at[1:]) / 2 if fan else at[:0]
+            lines, inner = (
+                [_line(surface, part - own, whole, kind, warp) for own in places]
+                for places in (at[1:-1], middles)
             )
-        widest = max(
-            _at(p, away)
-            for before, line in pairwise([ends[0], *lines, ends[1]])
-            for away in [surface.distances(before)]
-            for p in line
-        )
-        if widest <= usable * (1.0 + 1e-9):
-            return [seam_of(surface, f"{name} {k}", line) for k, line in enumerate(lines, 1)]
-        count = max(count + 1, math.floor(count * widest / usable))
+            if warp is not None:
+                _check_across([*lines, *inner], part)
+            across = _widths_of_strips(surface, [ends[0], *lines, ends[1]], inner)
+            if across.max() <= usable * (1.0 + 1e-9):
+                seams = chain.from_iterable(_off_the_rim(surface, line) for line in lines)
+                return [seam_of(surface, f"{name} {k}", line) for k, line in enumerate(seams, 1)]
+            if not fan or across.sum() > count * usable or across.max() >= widest:
+                break  # strips that are alike would be too wide, or are as alike as can be
+            widest, sums = across.max(), np.concatenate([[0.0], np.cumsum(across)])
+            at = np.interp(np.linspace(0.0, sums[-1], count + 1), sums, at)
+        needed = across.sum() if fan else count * across.max()
+        count = max(count + 1, math.floor(needed / usable))
     raise PathError(
         f"strips: even {MOST_STRIPS} strips are wider than {usable:.6g}; use a wider roll."
     )
@@ -148,11 +158,73 @@ def _line(
     if not lines:
         raise PathError("strips: no line between first and last divides the surface there.")
     line = min(lines, key=lambda line: float(np.mean([_at(p, whole) for p in line])))
+    line = (*_corner(surface, line[0], whole), *line, *_corner(surface, line[-1], whole))
     if warp is not None:
         return _along_warp(surface, line, warp)
     if kind == "parallel" or line[0] == line[-1]:
         return line
     return shorten(line, surface).points
+
+
+def _widths_of_strips(
+    surface: PatternSurface, lines: Sequence[Points], middles: Sequence[Points]
+) -> Array:
+    """Largest widths of strips between lines: from one line to the next, or for wedges, which are
+    narrower than that, the sum of those on both sides of their middle lines."""
+    widths = list[float]()
+    for k, (before, beyond) in enumerate(pairwise(lines)):
+        away = surface.distances(middles[k] if middles else before)
+        sides = (before, beyond) if middles else (beyond,)
+        widths.append(sum(max(_at(p, away) for p in line) for line in sides))
+    return np.array(widths)
+
+
+def _check_across(lines: Sequence[Points], part: Array) -> None:
+    """Refuse seams along the warp that lead from first to last, at parts (n,) of their distance."""
+    ends_at = [[_at(p, part) for p in (line[0], line[-1])] for line in lines]
+    if any(abs(a - b) > 1.0 - 1e-9 for a, b in ends_at):
+        raise PathError(
+            "strips: the warp leads from first to last, so that seams along it make no strips "
+            "between these; use two lines beside the warp."
+        )
+
+
+def _check_apart(surface: PatternSurface, whole: Array, ends: Sequence[Points]) -> None:
+    """Refuse lines on two surfaces, or that meet but at their ends."""
+    if not np.isfinite(whole).all():
+        raise PathError("strips: first and last do not lie on one connected surface.")
+    one, other = ({line[k].support for k in (0, -1) if line[0] != line[-1]} for line in ends)
+    for v in ints(np.flatnonzero(whole <= SAME_PLACE * whole.max())):
+        if (v,) not in one & other:
+            raise PathError(
+                f"strips: first and last meet at {as_text(surface.points[v])}, which is not an end "
+                "of both; use lines that have a corner in common at most."
+            )
+
+
+def _corner(surface: PatternSurface, end: SurfacePoint, whole: Array) -> Points:
+    """The vertex beside the end of a line at which first and last meet, if there is one."""
+    around = {int(v) for row in surface.target.cells_with(end.support) for v in surface.cells[row]}
+    return tuple(VertexPoint(v) for v in sorted(around) if whole[v] == 0.0)[:1]
+
+
+def _off_the_rim(surface: PatternSurface, line: Points) -> list[Points]:
+    """The parts of a line between the points at which it touches the rim, as a taut one does where
+    an edge of the roof curves inward."""
+    if line[0] == line[-1]:
+        return [line]
+    points = list[SurfacePoint]()
+    for p in line:
+        vertex = VertexPoint(p.support[int(np.argmax(p.weights))])
+        touches = max(p.weights) >= 1.0 - ON_VERTEX and surface.on_rim(vertex)
+        if not points or not touches or points[-1] != vertex:
+            points.append(vertex if touches else p)
+    stops = [k for k, p in enumerate(points) if k in (0, len(points) - 1) or surface.on_rim(p)]
+    return [
+        tuple(points[a : b + 1]) for a, b in pairwise(stops)
+        if b > a + 1 or len({*points[a].support, *points[b].support}) > 2
+        or len(surface.target.cells_with(points[a].support, points[b].support)) > 1
+    ]  # fmt: skip
 
 
 def _along_warp(surface: PatternSurface, line: Points, warp: Direction) -> Points:

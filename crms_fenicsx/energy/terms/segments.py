@@ -102,28 +102,34 @@ def segment_stiffness(X, x, segments, eps, forces, blocks):  # type: ignore[no-u
 
 
 @dataclass(frozen=True)
-class EdgePoints(ElementTable):
-    """This rank's points on edges, each with the blocks along its edge."""
+class BlockLists(ElementTable):
+    """Elements of several blocks each."""
 
-    # pointers, blocks: blocks of each edge in CSR form: its first vertex, the points on it, its
-    # last vertex
+    # pointers, blocks: blocks of each element in CSR form
     pointers: Indices
     blocks: Indices
-    place: Indices  # (n,) which of them the point is
     addresses = ("blocks",)
 
     @property
     def element_blocks(self) -> tuple[Indices, Indices]:
-        """Blocks on the edges of the points."""
+        """Blocks of the elements."""
         return self.pointers, self.blocks
 
     def some(self, rows: Integers) -> Self:
-        """Subset of the points, with the blocks on their edges."""
+        """Subset of the elements, with their blocks."""
         counts = np.diff(self.pointers)[rows]
         pointers = np.append(0, np.cumsum(counts))
         own = np.repeat(self.pointers[rows] - pointers[:-1], counts) + np.arange(pointers[-1])
-        of_points = [getattr(self, field.name)[rows] for field in fields(self)[2:]]
-        return type(self)(pointers.astype(np.int32), self.blocks[own], *of_points)
+        others = [getattr(self, field.name)[rows] for field in fields(self)[2:]]
+        return type(self)(pointers.astype(np.int32), self.blocks[own], *others)
+
+
+@dataclass(frozen=True)
+class EdgePoints(BlockLists):
+    """This rank's points on edges, each with the blocks along its edge: its first vertex, the
+    points on it, its last vertex."""
+
+    place: Indices  # (n,) which of them the point is
 
 
 @numba.njit(cache=True)

@@ -224,7 +224,7 @@ class ElementTerm(EnergyTerm):
 NAMES = frozenset(
     (
         *("bars", "cables", "dead load", "friction", "held lines", "membrane", "penalty", "pond"),
-        *("pressure", "wind"),
+        *("pressure", "side contact", "wind"),
     )
 )
 """Names of the package's own terms, whether a scene has them or not."""

@@ -31,8 +31,8 @@ from crms_fenicsx.foundation.meshes.triangles import (
 )
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers, ints
 
-Span = tuple[Integers, Array, Array]
-"""Numbers of row vertices under a span, in order, and the places (3,) of its ends."""
+Span = tuple[int, Integers, Array, Array]
+"""A row, the numbers of its vertices under a span, in order, and the places (3,) of its ends."""
 Worst = tuple[float, Array, list[int]]
 """A cell's value, its place (3,), and the rows within two cells of it, the nearest first."""
 
@@ -89,7 +89,7 @@ class MeshMotion:
         self._here = np.full(len(self._numbers), -1)  # local degrees of freedom of rows, or -1
         self._here[self._place] = self._local
         free = ~(stays | surface.rim)
-        self._within, self._single = free[self._numbers], free & (count == 1)
+        self._within, self._movable = free[self._numbers], free & (count < 3)
         known = stays | (norm(surface.smooth.normals) == 0.0)
         known[self._numbers] = True
         label = connected_labels(len(known), *surface.edges.T)
@@ -146,27 +146,32 @@ class MeshMotion:
 
     def under(self, X: Array, x: Array, spans: Sequence[Span]) -> tuple[Array, Array]:
         """Places (n, 3) of both kinds after vertices of rows below lifted spans have moved sideways
-        within the deformed surface until they lie under them, by at most half a cell. The rest of
-        the mesh does not follow yet."""
+        within the deformed surface until they lie under them, by at most half a cell; those that
+        two rows share along the other row. The rest of the mesh does not follow yet."""
         X, x = X.copy(), x.copy()
         gradients, normals, current = self._mean_gradients(X, x)
         at = self._gathered(X)
-        for vertices, start, end in spans:
+        tangents = [np.gradient(at[row], axis=0) for row in self._rows]
+        for own, vertices, start, end in spans:
             chord = (end - start) / norm(end - start)
-            k = np.searchsorted(self._numbers, vertices)
-            tangents = np.gradient(at[k], axis=0) if len(k) > 1 else np.zeros((1, 3))
-            free = np.flatnonzero(self._single[vertices])
-            local = self._here[k[free]]
-            of = np.flatnonzero(local >= 0)
-            local = local[of]
-            across = cross(normals[local], tangents[free[of]])
-            side = cross(current[local], np.broadcast_to(chord, across.shape))
-            across, side = _unit(across), _unit(side)
+            k = np.searchsorted(self._numbers, vertices[self._movable[vertices]])
+            local = self._here[k]
+            k, local = k[local >= 0], local[local >= 0]
+            across = np.zeros((len(k), 3))
+            for row, (numbers, along) in enumerate(zip(self._rows, tangents, strict=True)):
+                _, of, on = np.intersect1d(k, numbers, return_indices=True)
+                if row == own:
+                    own_across = cross(normals[local[of]], along[on])
+                    across[of] = np.where(across[of].any(axis=1)[:, None], across[of], own_across)
+                else:
+                    across[of] = along[on]
+            across = _unit(across)
+            side = _unit(cross(current[local], np.broadcast_to(chord, across.shape)))
             carried = (gradients[local] * across[:, None]).sum(axis=2)
             ratio = dot(carried, side)
             ok = np.abs(ratio) > 0.1 * norm(carried)
             way = np.where(ok, dot(start - x[local], side) / np.where(ok, ratio, 1.0), 0.0)
-            most = 0.5 * self._surface.size[vertices[free[of]]]
+            most = 0.5 * self.size[local]
             way = np.clip(way, -most, most)[:, None]
             X[local] += way * across
             x[local] += way * carried

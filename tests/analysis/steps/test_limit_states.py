@@ -21,6 +21,7 @@ from crms_fenicsx import (
 from crms_fenicsx.design.form_finding import find_form
 from crms_fenicsx.model.strengths import SETTINGS
 from crms_fenicsx.results.design_checks import DesignCheck
+from crms_fenicsx.results.output.report.design_tables import cable_values
 from crms_fenicsx.results.summary import DesignTable
 
 FOIL = IsotropicMembrane(E=300.0, nu=0.3, thickness=1.0, prestress=3.0)
@@ -154,6 +155,32 @@ def test_service_has_limits_and_no_strengths(comm: MPI.Intracomm) -> None:
     assert text.count("NOT PASSED") == sum(not check.passed for *_, check in table.rows) >= 3
     scene.set_strengths((2.0, 2.0))
     assert solver.judge(found).unjudged == ("cable A5",)
+
+
+def test_guys_are_judged_as_ropes(comm: MPI.Intracomm) -> None:
+    """By name, with the limit in service of EN 1993-1-11, in place of their own strength."""
+    scene = sheet(comm, 6, material=FOIL, side=6.0)
+    scene.lay_cable(Cable(EA=2e3), [(0.0, 2.6), (6.0, 2.6)], tension=4.0, name="A5")
+    guy = Bar(EA=1e3, tension_only=True, strength=1.0)
+    top = scene.vertex_at((3.0, 3.0, 0.0))
+    bars = [scene.add_bar(guy, (3.0, 3.0, -2.0), top, L0=1.999, name=x) for x in ("rope", "rod")]
+    solver = Solver(scene)
+    solver.advance()
+    with_rope = {"rope": codes.CableDesign(breaking=60.0), "A5": 9.0}
+    found = solver.combine({"U": {}, "C": {"state": "characteristic"}})
+    for ropes, limits in ((with_rope, {"U": 40.0, "C": 27.0}), ({}, {"U": 1.0, "C": None})):
+        scene.set_strengths((20.0, 20.0), cables=ropes)
+        for name, limit in limits.items():
+            solver.restore(found[name].snapshot)
+            checks = {one.member: one for one in solver.summary().checks}
+            assert bars[0].force > 0.0
+            assert ("rope" in checks) == (limit is not None)
+            assert limit is None or checks["rope"].limit == pytest.approx(limit)
+            assert ("rod" in checks) == (name == "U")
+    assert not cable_values(scene)
+    scene.set_strengths((20.0, 20.0), cables=with_rope)
+    rows = {row[0]: row[-2:] for row in cable_values(scene)}
+    assert rows.keys() == {"A5", "rope"} and rows["rope"] == (40.0, 27.0)
 
 
 @pytest.mark.ranks

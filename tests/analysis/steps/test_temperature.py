@@ -14,6 +14,7 @@ from cabled_square import sheet
 from mpi4py import MPI
 from roped_drum import roped
 from same_state import assert_same_state
+from term_scene import irregular_square
 
 from crms_fenicsx import (
     Bar,
@@ -86,6 +87,38 @@ def test_a_restrained_sheet(comm: MPI.Intracomm, material: MembraneMaterial) -> 
         expected = [3.0 - (900 * warp + 0.2 * 900 * weft) / q, 2.0 - (180 * warp + 600 * weft) / q]
     both = np.sort(np.broadcast_to(expected, found.shape), axis=1)
     np.testing.assert_allclose(np.sort(found, axis=1), both, rtol=1e-12)
+
+
+@pytest.mark.ranks
+def test_parts_and_bonded_cables(comm: MPI.Intracomm) -> None:
+    """Parts have their own changes, others keep their temperature; a belt its parts' tensions."""
+    scene = Scene(irregular_square(comm), {"left": FOIL, "right": replace(FOIL, E=400.0)})
+    scene.fix(lambda x: x[0] > -1.0)
+    belt = scene.lay_cable(
+        Cable(1e3, expansion=STEEL), [(0.0, 31.0), (100.0, 52.0)], hold="bonded", tension=2.0
+    )
+    solver = cooled(scene, {"left": -40.0, "cables": -20.0})
+    found = solver.results().second_piola
+    expected = np.full(found.shape, 3.0)
+    own = scene.mesh.parts["left"]
+    expected[own[own < len(found)]] -= 150.0 / 0.7 * green(-4e-3)
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
+    tension = 1e3 * (1.002 / (1 - STEEL * 20) - 1)
+    np.testing.assert_allclose(belt.tensions, tension, rtol=1e-6)
+
+
+def test_a_sewn_sheet(comm: MPI.Intracomm) -> None:
+    """Cells with stress-free shapes of their own: what a restrained change adds is the same."""
+    mesh = meshes.rectangle(comm, 4.0, 4.0, size=1.0)
+    cells = mesh.mesh.topology.index_map(2)
+    frames = np.tile(1.01 * np.eye(3)[:2], (cells.size_local + cells.num_ghosts, 1, 1))
+    scene = Scene(mesh, replace(FABRIC, prestress=0.0), frames=frames)
+    scene.fix("boundary")
+    solver = cooled(scene)
+    found = solver.results().second_piola
+    strains = [green(0.01) - green(-30 * alpha) for alpha in (6e-5, 9e-5)]
+    expected = FABRIC.stiffness[:2, :2] @ strains
+    np.testing.assert_allclose(np.sort(found), np.sort(np.tile(expected, (len(found), 1))))
 
 
 @pytest.mark.ranks
@@ -293,6 +326,19 @@ def test_snapshots_and_checkpoints(comm: MPI.Intracomm, folder: Path) -> None:
         one.advance(load={COLD: -0.5}, pressure=0.25)
     assert_same_state(other.state, scene.state, but=("warnings", "net", "membrane"), rtol=1e-6)
     assert other.cable("A").tension == pytest.approx(scene.cable("A").tension, rel=1e-6)
+
+
+def test_a_run_goes_on(comm: MPI.Intracomm, folder: Path) -> None:
+    """When the script runs again, each call is restored, with its temperature."""
+    found = []
+    for resume in (False, True):
+        scene, _ = roof(comm)
+        solver = Solver(scene, results=folder, resume=resume)
+        solver.advance(pressure=0.2)
+        solver.advance(load={COLD: 1.0}, steps=2)
+        found.append((scene.energy, scene.cable("B").tension, scene.materials[0].dT))
+        del solver
+    assert found[0] == found[1]
 
 
 @pytest.mark.ranks

@@ -260,7 +260,7 @@ def test_results_have_the_residual_section_forces(
     fields = fields_of(results)
     assert ("warp" in fields) == (fabric is FABRIC)
     np.testing.assert_array_equal(fields["true force 1"], results.true_forces[:, 0])
-    theory = dict(model_of_scene(scene, Units(), {}).tables["mesh"].rows)
+    theory = dict(model_of_scene(scene, Units()).tables["mesh"].rows)
     assert "forces below include them" in str(theory["Residual section forces"])
 
 

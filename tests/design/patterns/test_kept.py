@@ -162,6 +162,22 @@ def test_flat_sail_is_its_form(comm: MPI.Intracomm, x: float, slant: float, with
     assert [k.tension for k in scene.cables] == pytest.approx(4 * [tension], rel=within)
 
 
+@pytest.mark.ranks
+@pytest.mark.parametrize(
+    ("sides", "width"), [(("side 5", "side 2"), 1.0), (("side 4", "side 5"), 2.5)]
+)
+def test_sails_are_cut_where_edges_curve_inward(
+    comm: MPI.Intracomm, sides: tuple[str, str], width: float
+) -> None:
+    """Beside each other, strips narrower than the sag of the edges end at these; from the corner of
+    two edges they fan out. All of the surface is cut, and fits the roll, its parts do."""
+    found = five_point_sail(comm, 0.7)
+    pieces = patterns.cut(found.mesh, patterns.strips(found.mesh, *sides, width))
+    assert pieces.area == pytest.approx(found.area, rel=1e-3)
+    pattern = patterns.flatten(pieces, FILM, warp="seams")
+    assert max(one.width for one in pattern.flat) < width
+
+
 def totals(scene: Scene) -> dict[str, Array]:
     """Resultants of all loads on the membrane."""
     return {load.name: scene.comm.allreduce(load.forces.sum(axis=0)) for load in scene.loads}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from grids import grid
@@ -115,6 +117,37 @@ def test_strips_are_as_wide_as_the_roll_allows(comm: MPI.Intracomm, kind: str) -
     assert patterns.strips(mesh, "front", "back", 7.0) == []
 
 
+@pytest.mark.ranks
+def test_strips_fan_out_from_a_corner(comm: MPI.Intracomm) -> None:
+    """On a flat roof: seams are rays from the corner; wedges, turned so that their middles lie
+    along the roll, fit it, are alike in width, and few: all of them sweep the arc length at the
+    opposite rim, across the rays."""
+    mesh = meshes.rectangle(comm, 6.0, 4.0, 0.5)
+    seams = patterns.strips(mesh, "front", "left", 1.5, allowance=0.05)
+    swept = 6.0 * np.arcsinh(4.0 / 6.0) + 4.0 * np.arcsinh(6.0 / 4.0)
+    assert len(seams) + 1 == np.ceil(swept / 1.4)
+    rim, widths = [np.array([6.0, 0.0])], []
+    for seam in seams:
+        path = seam.path[:, :2] if np.allclose(seam.path[0], 0.0) else seam.path[::-1, :2]
+        assert np.allclose(path[0], 0.0) and (np.isclose(path[-1], (6.0, 4.0))).any()
+        ray = path[-1] / np.linalg.norm(path[-1])
+        np.testing.assert_allclose(np.abs(path @ [-ray[1], ray[0]]), 0.0, atol=1e-9)
+        rim.append(path[-1])
+    rim.append(np.array([0.0, 4.0]))
+    for a, b in pairwise(rim):
+        outline = [np.zeros(2), a, b]
+        if a[0] > 6.0 - 1e-9 and b[1] > 4.0 - 1e-9:
+            outline.append(np.array([6.0, 4.0]))
+        middle = a / np.linalg.norm(a) + b / np.linalg.norm(b)
+        middle /= np.linalg.norm(middle)
+        widths.append(np.ptp(np.array(outline) @ [-middle[1], middle[0]]))
+    assert max(widths) <= 1.4 + 1e-9 and min(widths) > 0.6 * max(widths)
+    pieces = patterns.cut(mesh, seams).pieces
+    assert (
+        sum(piece.area for piece in pieces) == pytest.approx(24.0) and len(pieces) == len(seams) + 1
+    )
+
+
 def test_seams_of_a_hall_are_few_and_narrow_enough(comm: MPI.Intracomm) -> None:
     """One strip less would be too wide."""
     form = cylinder(comm, 24)
@@ -149,7 +182,7 @@ def test_seams_follow_the_warp(comm: MPI.Intracomm, slope: float) -> None:
     ("call", "error", "text"),
     [
         (lambda m: patterns.strips(m, "front", "back", 0.08, allowance=0.04), InputError, "twice"),
-        (lambda m: patterns.strips(m, "front", "left", 1.0), PathError, "meet"),
+        (lambda m: patterns.strips(m, "front", "front", 1.0), PathError, "meet at .* of both"),
         (lambda m: patterns.strips(m, "front", "back", 1.0, warp=(0.0, 1.0, 0.0)),
          PathError, "beside the warp"),
         (lambda m: patterns.strips(m, "front", "back", 1.0, warp=(0.0, 0.0, 0.0)),

@@ -25,6 +25,7 @@ from term_scene import (
     TENSED,
     TENSED_FABRIC,
     TRIANGLE,
+    WARM,
     directions,
     displaced,
     every_material,
@@ -246,7 +247,9 @@ def test_rigid_motions(material: MembraneMaterial, state: int) -> None:
     np.testing.assert_allclose(np.cross(TRIANGLE + x[:3], g[:3]).sum(axis=0), 0, atol=1e-11 * size)
 
 
-@pytest.mark.parametrize("material", [ISOTROPIC, STIFF, TENSED], ids=["relaxed", "raw", "tensed"])
+@pytest.mark.parametrize(
+    "material", [ISOTROPIC, STIFF, TENSED, WARM], ids=["relaxed", "raw", "tensed", "warm"]
+)
 def test_isotropic_cells_may_turn_in_their_plane(material: MembraneMaterial) -> None:
     f = shifted_triangle(material)
     x = np.vstack([MOVES[1], PLACES])

@@ -213,6 +213,10 @@ CALLS: dict[str, tuple[Callable[..., Scene], dict[str, Any]]] = {
         lambda **new: laid(Cable(**{"EA": 50.0} | new)),
         {"EA": 51.0, "law": "step", "friction": 0.1, "expansion": 1e-5},
     ),
+    "Cable, on a line": (
+        lambda **new: laid(Cable(50.0, **new), path=None, along="left", hold="pocket"),
+        {"diameter": 0.02},
+    ),
     "Friction": (
         lambda **new: laid(Cable(50.0, friction=Friction(**{"mu": 0.1} | new))),
         {"mu": 0.2, "static": 0.3, "along": 0.1, "law": "step", "tolerance": 0.004},
@@ -226,7 +230,7 @@ CALLS: dict[str, tuple[Callable[..., Scene], dict[str, Any]]] = {
     ),
     "Bar": (mast, {
         "EA": 101.0, "tension_only": True, "EI": 5.0, "strength": 9.0, "gamma_M": 1.1,
-        "buckling_length": 3.0, "expansion": 1e-5,
+        "buckling_length": 3.0, "expansion": 1e-5, "section": "CHS 60.3x4",
     }),
     "lay_cable": (laid, {
         "cable": Cable(51.0), "path": [(0, 3.3), (10, 4.3)], "L0": 9.9, "tension": 2.0,

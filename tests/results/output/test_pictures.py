@@ -789,3 +789,40 @@ def test_names_in_plans_lie_apart() -> None:
     assert not any(a.overlaps(b) for k, a in enumerate(boxes) for b in boxes[:k])
     level = axes.transData.transform((0.0, -0.34))[1]
     assert not any(box.y0 < level < box.y1 for box in boxes)
+
+
+def test_names_of_foundations_stay_within_the_frame(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Beyond the highest ordinates of the rim's forces, at all its sides."""
+    drawn = list[Any]()
+    monkeypatch.setattr(plans, "png_of", lambda figure, dpi: drawn.append(figure) or b"")
+    corners = np.array([(-18.0, -18.0, 0), (18.0, -18.0, 0), (18.0, 18.0, 0), (-18.0, 18.0, 0)])
+    rim = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
+    force = np.tile((0.0, 0.0, 12.0), (4, 2, 1))
+    sides = {f"F{k}": (one.mean(axis=0), np.array([9.0, 0.0, 138.4])) for k, one in enumerate(rim)}
+    plan = plans.ForcePlan(rim, force, sides, rim, 9.0, 12.0)
+    plans.draw_forces(plan, "m", "kN", 165, 4.0)
+    (figure,) = drawn
+    (axes,) = figure.axes
+    figure.canvas.draw()
+    names = [text for text in axes.texts if text.get_text().startswith("F")]
+    assert len(names) == 4 and names[0].get_text() == "F0 ↑138"
+    for name in names:
+        box, frame = name.get_window_extent(), axes.get_window_extent()
+        assert frame.x0 < box.x0 and box.x1 < frame.x1
+        assert frame.y0 < box.y0 and box.y1 < frame.y1
+
+
+@pytest.mark.parametrize("width", [4.6, 8.0])
+def test_labels_of_colour_bars_are_not_cut_off(width: float) -> None:
+    """They take as many lines as they need beside their bar."""
+    points, triangles = square(4)
+    figure = draw_shape(
+        None, points * (1.0, 0.6, 1.0), triangles, [], values=np.arange(32.0), width=width,
+        label="section force along warp [kN/m]",
+    )  # fmt: skip
+    assert figure is not None
+    figure.canvas.draw()
+    _, bar = figure.axes
+    label, beside = bar.yaxis.label.get_window_extent(), bar.get_window_extent()
+    assert label.height < 1.1 * beside.height
+    assert label.x1 < figure.bbox.x1

@@ -266,3 +266,15 @@ def test_combinations_say_what_they_change(comm: MPI.Intracomm, folder: Path) ->
     page = page_of(solver, folder / "same.html", solver.combine({"snow": {"snow": 0.3}}))
     heads = page.tables["Inner pressure and factors of the loads"][0]
     assert "Prestress" not in heads and "Without" not in heads
+
+
+def test_more_prestress_alone_is_not_the_base_state(comm: MPI.Intracomm, folder: Path) -> None:
+    """Nor is a missing cable: LC0 is the state in operation, from which deflections count."""
+    solver = roof(comm)
+    changed = {"tight": {"snow": 0.2, "prestress": 1.35}, "torn": {"without": ["ridge"]}}
+    table = "Inner pressure and factors of the loads"
+    (_, *rows) = page_of(solver, folder / "base.html", solver.combine(changed)).tables[table]
+    assert [row[:2] for row in rows] == [["LC0", "base state"], ["LC1", "tight"], ["LC2", "torn"]]
+    found = solver.combine(changed | {"as it is": {}})
+    (_, *rows) = page_of(solver, folder / "own.html", found).tables[table]
+    assert [row[:2] for row in rows] == [["LC0", "as it is"], ["LC1", "tight"], ["LC2", "torn"]]

@@ -10,7 +10,7 @@ import pytest
 from cabled_square import sheet
 from mpi4py import MPI
 
-from crms_fenicsx import Bar, Cable, IsotropicMembrane, Solver
+from crms_fenicsx import Bar, Cable, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.analysis.verification.report import Check
 from crms_fenicsx.model.versions import StateWarning
 from crms_fenicsx.results.design_checks import DesignCheck
@@ -72,6 +72,21 @@ def test_reasons_in_plain_words(case: Case) -> None:
     ):
         assert words in reasons(changed)
     assert "Membrane, strain beyond the limit: whole membrane" in reasons(good, strain=1e-3)
+
+
+@pytest.mark.parametrize(("held", "pressure", "encloses"), [
+    ("boundary", 0.0, True), ("some", 0.0, False), ("some", 0.1, True)
+])  # fmt: skip
+def test_a_sail_has_no_inner_volume(
+    comm: MPI.Intracomm, held: str, pressure: float, encloses: bool
+) -> None:
+    """Nothing is closed off below a roof whose rim is free in part, unless air carries it."""
+    cap = meshes.spherical_cap(comm, radius=5.0, height=2.0, size=1.5)
+    scene = Scene(cap, IsotropicMembrane(E=300.0, nu=0.3, thickness=1.0), pressure="lagged")
+    scene.fix("boundary" if held == "boundary" else lambda x: (x[2] < 0.1) & (x[0] < 4.5))
+    if pressure:
+        Solver(scene).advance(pressure=pressure)
+    assert shape_of(scene).encloses == encloses
 
 
 def test_what_is_not_judged_is_named(case: Case) -> None:

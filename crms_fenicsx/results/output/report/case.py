@@ -10,6 +10,7 @@ from mpi4py import MPI
 
 from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.analysis.verification.report import Verification
+from crms_fenicsx.foundation.meshes.surface import BOUNDARY
 from crms_fenicsx.foundation.meshes.triangles import double_areas, norm
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.results.design_checks import Extreme
@@ -36,7 +37,7 @@ class Case:
     verification: Verification | None
     foundations: Foundations  # forces on foundations
     # since the base state: volume between roof and rim, relative to that before, None if the roof
-    # enclosed none; share of the former area turned by more than 90 degrees
+    # enclosed none, as a sail does; share of the former area turned by more than 90 degrees
     volume: float | None
     turned: float
     deflection: Extreme  # largest displacement since the base state (length)
@@ -51,6 +52,12 @@ class Case:
     pictures: tuple[Figure, ...] = ()
     view: str = ""
     stage: int = 0  # number of the stage of erection; 0 for a combination
+
+    @property
+    def acting(self) -> tuple[float, Mapping[str, float], float, tuple[str, ...]]:
+        """What distinguishes it from the base state: pressure, load factors, that of the
+        prestress, missing members."""
+        return self.summary.pressure, self.summary.factors, self.prestress, self.without
 
 
 def case_of(solver: Solved, name: str, before: Shape) -> Case:
@@ -101,6 +108,7 @@ class Shape:
     vectors: Array  # (m, 3) areas times unit normals (length squared)
     volume: float  # between the cells and the apex: the cone over the rim (length cubed)
     area: float  # of the cells (length squared)
+    encloses: bool  # whether the roof encloses a space: its rim is held, or it is under pressure
 
 
 def shape_of(scene: Scene, apex: Array | None = None) -> Shape:
@@ -115,7 +123,10 @@ def shape_of(scene: Scene, apex: Array | None = None) -> Shape:
     vectors = double_areas(corners) / 2
     volume = float(((corners.mean(axis=1) - apex) * vectors).sum()) / 3
     volume, area = comm.allreduce(np.array([volume, norm(vectors).sum()])).tolist()
-    return Shape(places, apex, vectors, volume, area)
+    rim = scene.held[scene.membrane.vertices(BOUNDARY)].any(axis=1).all()
+    closed = comm.allreduce(bool(rim), op=MPI.LAND) or scene.pressure != 0.0
+    large = abs(volume) > 0.02 * area**1.5
+    return Shape(places, apex, vectors, volume, area, closed and large)
 
 
 def _shape_change(before: Shape, scene: Scene) -> tuple[float | None, float, Extreme]:
@@ -123,7 +134,6 @@ def _shape_change(before: Shape, scene: Scene) -> tuple[float | None, float, Ext
     now = shape_of(scene, before.apex)
     turned = np.einsum("mi,mi->m", before.vectors, now.vectors) < 0.0
     share = scene.comm.allreduce(float(norm(before.vectors)[turned].sum())) / before.area
-    encloses = abs(before.volume) > 0.02 * before.area**1.5
-    volume = now.volume / before.volume if encloses else None
+    volume = now.volume / before.volume if before.encloses else None
     sizes = norm(now.places - before.places)
     return volume, share, extreme(scene.comm, sizes, now.places, largest=True)

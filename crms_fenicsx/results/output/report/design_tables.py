@@ -29,9 +29,9 @@ BARS = (
 
 
 def cable_values(scene: Scene) -> list[Row]:
-    """Design values of the cables by EN 1993-1-11, or as given; none of cables without."""
+    """Design values of cables and guys by EN 1993-1-11, or as given; none of cables without."""
     rows = list[Row]()
-    for cable in scene.cables:
+    for cable in [*scene.cables, *filter(scene.design.names, scene.bars)]:
         known = scene.design.cables
         one = known.get(cable.name, known.get(ALL))
         if isinstance(one, CableDesign):

@@ -9,9 +9,9 @@ from crms_fenicsx.model.tolerances import SAME_VALUE
 from crms_fenicsx.results.output.report.case import Case
 from crms_fenicsx.results.output.report.foundation_tables import FoundationTables
 from crms_fenicsx.results.output.report.page import (
-    SHORT,
     Figure,
     Figures,
+    Measured,
     PageSection,
     Paragraph,
     Table,
@@ -25,7 +25,7 @@ from crms_fenicsx.results.output.report.results_tables import (
     clean,
     families,
 )
-from crms_fenicsx.results.output.report.verdict import NAMES, judged
+from crms_fenicsx.results.output.report.verdict import MOST, NAMES, judged
 from crms_fenicsx.results.quantities import QUANTITIES, SUMMED_UP
 
 STAGES = (
@@ -48,7 +48,7 @@ def erection(
         figures += [
             replace(one, caption=one.caption.replace(case.name, name, 1)) for one in case.pictures
         ]
-    tables = by_stage(of, held, strain, factors, most=SHORT)
+    tables = by_stage(of, held, strain, factors, most=MOST)
     return [PageSection("Erection", [Paragraph(STAGES), *tables, Figures(figures)])]
 
 
@@ -66,7 +66,7 @@ def by_stage(
         names = [heads.get(stages[k].name, stages[k].name) for k in part]
         own = [(*row[:2], *(row[2 + k] for k in part)) for row in rows]
         found.append(Table("Stages of erection", ("Result", "Of", *names), own, "erection",
-                           headings=2, small=len(part) > SHORT // 2))  # fmt: skip
+                           headings=2, small=len(part) > MOST // 2))  # fmt: skip
     return found
 
 
@@ -91,16 +91,22 @@ def _rows(of: ResultTables, held: FoundationTables, strain: float) -> Iterator[R
     for name, cables in of.by_name("cables"):
         tensions = {case: one.largest for case, one in cables}
         yield kind, name, *(tensions.get(case.name) for case in cases)
-    kind = f"Bar force{units['force']}"
-    for label, own in families(of.names("bars")).items():
-        forces = [[case.summary.bars[x].force for x in own if x in case.summary.bars]
-                  for case in cases]  # fmt: skip
-        yield kind, label, *(max(one, key=abs) if one else None for one in forces)
-    kind = f"Unstressed length{units['length']}"
+    turned = dict[str, dict[str, Measured]]()
     for name, members in [*of.by_name("cables"), *of.by_name("bars")]:
         lengths = {case: units.exact(one.L0) for case, one in members}
         if max(lengths.values()) - min(lengths.values()) > SAME_VALUE * max(lengths.values()):
-            yield kind, name, *(lengths.get(case.name) for case in cases)
+            turned[name] = lengths
+    kind = f"Bar force{units['force']}"
+    for label, own in families(of.names("bars")).items():
+        # what is tightened is listed by itself
+        for names in [[name] for name in own] if turned.keys() & {*own} else [own]:
+            forces = [[case.summary.bars[x].force for x in names if x in case.summary.bars]
+                      for case in cases]  # fmt: skip
+            yield (kind, names[0] if len(names) == 1 else label,
+                   *(max(one, key=abs) if one else None for one in forces))  # fmt: skip
+    for name, lengths in turned.items():
+        yield (f"Unstressed length{units['length']}", name,
+               *(lengths.get(case.name) for case in cases))  # fmt: skip
     yield from _membrane(of)
     yield (f"Shape{units['length']}", "displacement in the stage",
            *(units.exact(case.deflection.value) for case in cases))  # fmt: skip

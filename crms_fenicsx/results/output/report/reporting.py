@@ -173,8 +173,8 @@ def results_of(solver: Solved, states: Mapping[str, Combination]) -> list[Case]:
             solver.restore(one.snapshot)
             case = case_of(solver, name, shapes[id(one.base)])
             cases.append(replace(case, stage=one.stage))
-    combined = [one.summary for one in cases if not one.stage or one is cases[0]]
-    base, acting = cases[0], [(one.pressure, one.factors) for one in combined]
+    combined = [one for one in cases if not one.stage or one is cases[0]]
+    base, acting = cases[0], [one.acting for one in combined]
     known = base.name == BASE and acting[0] not in acting[1:] and base.summary.in_equilibrium
     return cases if known or base.name != BASE else cases[1:]
 

@@ -79,7 +79,9 @@ class ResultTables:
             if case.summary.design
         }
         reduced = any(x != 1.0 for x in divided.values())
-        base = [one for one in every if one[1] == pressure and one[2] == factors]
+        of = {case.name: case for case in self.cases}
+        unchanged = pressure, factors, 1.0, ()
+        base = [one for one in every if of[one[0]].acting == unchanged]
         if every and not base:
             base = [("base state", pressure, factors)]
         every = base + [one for one in every if one not in base]
@@ -89,7 +91,6 @@ class ResultTables:
         every += [one for one, case in zip(acting, self.cases, strict=True) if case.stage]
         loads = list(dict.fromkeys(load for _, _, known in every for load in known))
         pressed = any(p for _, p, _ in every)
-        of = {case.name: case for case in self.cases}
         tight = any(case.prestress != 1.0 for case in self.cases)
         rows: list[Row] = [
             (

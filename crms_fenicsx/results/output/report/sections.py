@@ -96,7 +96,8 @@ NOTES = (
     "the stress-free shape where named so. Forces on the rim per length are those of each vertex "
     "over the length of held edges that belongs to it, with those of cables that pass over it.",
     "Loads of fixed direction, such as weight and snow, keep their forces as the shape changes; "
-    "wind and inner pressure stay normal to the surface.",
+    "wind and inner pressure stay normal to the surface. Cables and bars have no weight but that "
+    "of named loads.",
     "Contact forces of cables are those along the membrane's normal, per length of cable, smoothed "
     "over a few triangles.",
 )

@@ -30,7 +30,7 @@ MEANINGS = {
     "Cables lie on the membrane and on each other, and press on them only": (
         "nodes off their edges", "breaks in the path", "crossing cables apart",
         "clamps that hold nothing", "pull on the membrane", "depth below the membrane",
-        "depth below another cable",
+        "depth below another cable", "depth in a cable beside",
     ),
     "Nothing but friction, clamps and pockets holds cables sideways": (
         "held by a line of the mesh", "held by vertices", "held where its line stays",

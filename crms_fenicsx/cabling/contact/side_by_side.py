@@ -1,0 +1,221 @@
+"""Cables side by side along lines of the mesh: which vertices face which cables, and what presses.
+
+Of two cables those of the one with more vertices, or the first, face the nearest ones of the other.
+Cables that have a common vertex do not face each other: there one lies on top.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from crms_fenicsx.cabling.cables.cable_net import CableNet
+from crms_fenicsx.cabling.cables.element_tables import stiffest
+from crms_fenicsx.cabling.cables.points_on_edges import VERTEX, NodeTable, positions_of
+from crms_fenicsx.cabling.cables.strip import NOBODY, StripShape
+from crms_fenicsx.energy.terms.side_contact import Facing
+from crms_fenicsx.foundation.meshes.triangles import norm
+from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers, pointers, runs
+from crms_fenicsx.foundation.runtime.errors import InputError, as_text
+from crms_fenicsx.foundation.surface.closest_point import Balls
+from crms_fenicsx.model.laid_cable import LaidCable
+from crms_fenicsx.model.materials import MembraneMaterial
+from crms_fenicsx.model.tolerances import SAME_PLACE
+
+BESIDE = 2
+"""Number of vertices of the other cable before and behind the nearest one that a vertex faces, as
+the curve between two vertices depends on the next ones; and how many cells away cables face each
+other, of which each comes nearer by one at most before they are sought again."""
+
+STIFF = 10.0
+"""Stiffness of the contact, relative to that of fabric between the cables' axes: under the same
+force it yields by a tenth of the fabric's strain."""
+
+
+def _is_round(cables: Sequence[LaidCable]) -> Booleans:
+    """Whether each cable lies along a line and has a diameter, (n,)."""
+    return np.array(
+        [one.cable.diameter > 0.0 and one.state.laid.line is not None for one in cables], dtype=bool
+    )
+
+
+def facing_on_mesh(
+    net: CableNet, materials: Iterable[MembraneMaterial], cells: int = BESIDE
+) -> Facing:
+    """Vertices of taut cables that face others within some `cells`, on the stress-free mesh; the
+    same on all ranks, with rows of the table of nodes as blocks. Collective."""
+    cables, nodes, shape = net.cables, net.nodes, net.strip_shape()
+    strip = shape.strip
+    inside = strip.simplices.cells[strip.owner != NOBODY]
+    corners = shape.stress_free[inside]
+    sizes = np.zeros(len(strip.vertices))
+    longest = norm(corners - np.roll(corners, 1, axis=1)).max(axis=1, initial=0.0)
+    np.maximum.at(sizes, inside, longest[:, None])
+    at = np.searchsorted(strip.vertices, nodes.support[:, 0]).clip(0, len(strip.vertices) - 1)
+    taut = np.array([one.taut for one in cables], dtype=bool)
+    places = shape.stress_free[at]
+    found = _facing(cables, _is_round(cables) & taut, nodes, places, cells * sizes[at], cells)
+    found.stiffness[:] = stiffnesses(found, nodes, shape, materials)
+    return found
+
+
+def stiffnesses(
+    facing: Facing, nodes: NodeTable, shape: StripShape, materials: Iterable[MembraneMaterial]
+) -> Array:
+    """Stiffness of the contact of each facing vertex, (n,) (force/length)."""
+    on = np.flatnonzero((nodes.kind == VERTEX) & ~nodes.lifted)
+    X = shape.stress_free[np.searchsorted(shape.strip.vertices, nodes.support[on, 0])]
+    ways = np.where(np.diff(nodes.cable[on]) == 0, norm(np.diff(X, axis=0)), 0.0)
+    lengths = (np.append(ways, 0.0) + np.append(0.0, ways)) / 2
+    own = lengths[np.searchsorted(on, facing.blocks[facing.pointers[:-1]])]
+    return np.asarray(STIFF * stiffest(materials) * own / facing.least)
+
+
+def _facing(
+    cables: Sequence[LaidCable], chosen: Booleans, nodes: NodeTable, places: Array, reach: Array,
+    beside: int,
+) -> Facing:  # fmt: skip
+    """Vertices of the chosen cables (n,) that face others of them within `reach` (m,) of their
+    least distance, for nodes at `places` (m, 3): the nearest vertex and some `beside` it."""
+    on = np.flatnonzero(chosen[nodes.cable] & (nodes.kind == VERTEX) & ~nodes.lifted)
+    X, cable = places[on], nodes.cable[on]
+    radii = np.array([one.cable.diameter / 2 for one in cables])
+    most = float(radii[chosen].max(initial=0.0))
+    count = np.bincount(nodes.cable[nodes.kind == VERTEX], minlength=len(cables))
+    finer = np.argsort(np.lexsort((np.arange(len(cables)), -count)))
+    i, j = Balls(X, np.zeros(len(X))).within(X, radii[cable] + most + reach[on])
+    least, away = radii[cable[i]] + radii[cable[j]], norm(X[i] - X[j])
+    near = (away <= least + reach[on[i]]) & ~_meet(chosen, nodes)[cable[i], cable[j]]
+    near &= (np.bincount(cable)[cable[j]] > 1) & (finer[cable[i]] < finer[cable[j]])
+    order = np.flatnonzero(near)[np.lexsort((away[near], cable[j[near]], i[near]))]
+    pair = i[order] * len(cables) + cable[j[order]]
+    order = order[np.flatnonzero(np.diff(pair, prepend=-1))]  # the nearest of each cable
+    i, j, least = i[order], j[order], least[order]
+    starts = np.searchsorted(cable, np.arange(len(cables) + 1))
+    first = np.maximum(j - beside, starts[cable[j]])
+    counts = np.minimum(j + beside, starts[cable[j] + 1] - 1) - first + 1
+    begins = pointers(counts + 1)
+    rows = np.empty(begins[-1], dtype=np.int64)
+    rows[begins[:-1]] = on[i]
+    rows[np.setdiff1d(np.arange(begins[-1]), begins[:-1])] = on[runs(first, counts)]
+    return Facing(begins.astype(np.int32), rows, least, np.zeros(len(least)))
+
+
+def _meet(chosen: Booleans, nodes: NodeTable) -> Booleans:
+    """Whether two of the chosen cables have a common vertex, (n, n); a cable meets itself."""
+    rows = np.flatnonzero(chosen[nodes.cable] & (nodes.size == 1))
+    ids, of = np.unique(nodes.support[rows, 0], return_inverse=True)
+    has = np.zeros((len(chosen), len(ids)), dtype=np.float32)
+    has[nodes.cable[rows], of] = 1.0
+    return np.asarray(has @ has.T > 0.0) | np.eye(len(chosen), dtype=bool)
+
+
+def faces_all(known: Facing, near: Facing) -> bool:
+    """Whether all that vertices face in `near` they face in another table, too."""
+    own, others = (
+        np.repeat(one.blocks[one.pointers[:-1]], np.diff(one.pointers)) + 1j * one.blocks
+        for one in (near, known)
+    )
+    return bool(np.isin(own, others).all())
+
+
+def _gaps(facing: Facing, places: Array) -> tuple[Integers, Array, Array, Array]:
+    """Of each facing vertex the rows (n, 6) on which the closest point of the curve depends, their
+    weights, its distance (n,), and the direction from it (n, 3), for nodes at `places` (m, 3):
+    Hermite's cubic between two vertices, with the slopes of the chords beside them."""
+    at, blocks = facing.pointers.astype(np.int64), facing.blocks.astype(np.int64)
+    begins, ends = at[:-1], at[1:] - 1
+    counts = ends - begins - 1
+    part, of = runs(begins + 1, counts), np.repeat(np.arange(len(begins)), counts)
+    rows, chords = [part, part + 1], []
+    for k in (part, part + 1):
+        after, before = np.minimum(k + 1, ends[of]), np.maximum(k - 1, begins[of] + 1)
+        rows += [after, before]
+        chords.append(1.0 / (after - before))
+    X, v = places[blocks[np.array(rows)]], places[blocks[begins[of]]]
+    low: Array = np.zeros(len(of))
+    high: Array = np.ones(len(of))
+    for _ in range(60):  # to rounding
+        t = np.array([low + (high - low) / 3, high - (high - low) / 3])
+        one, other = (norm(_curve(_hermite(s, chords), X) - v) for s in t)
+        low, high = np.where(one > other, t[0], low), np.where(one > other, high, t[1])
+    weights = _hermite((low + high) / 2, chords)
+    w = v - _curve(weights, X)
+    away = norm(w)
+    best = np.lexsort((away, of))[pointers(counts)[:-1]]
+    ways = w[best] / np.maximum(away[best], 1e-300)[:, None]
+    return blocks[np.array(rows)[:, best].T], weights[:, best].T, away[best], ways
+
+
+def _hermite(t: Array, chords: Sequence[Array]) -> Array:
+    """Weights (6, n) of the points of cubics at t (n,): both ends, and those beside each."""
+    rise, start, end = t * t * (3 - 2 * t), t * (1 - t) ** 2, -t * t * (1 - t)
+    start, end = start * chords[0], end * chords[1]
+    return np.array([1 - rise, rise, start, -start, end, -end])
+
+
+def _curve(weights: Array, points: Array) -> Array:
+    return np.asarray(np.einsum("kn,kni->ni", weights, points))
+
+
+def forces_beside(net: CableNet, materials: Iterable[MembraneMaterial]) -> dict[LaidCable, Array]:
+    """Forces (n, 3) of other cables beside it at each cable's nodes. Collective."""
+    forces = side_forces(facing_on_mesh(net, materials), positions_of(net.cables))
+    return dict(zip(net.cables, np.split(forces, net.nodes.starts[1:-1]), strict=True))
+
+
+def overlaps(cables: Sequence[LaidCable]) -> dict[LaidCable, float]:
+    """By which part of their least distance each taut cable and one beside it are too near."""
+    taut = np.array([one.taut for one in cables], dtype=bool)
+    nodes, places, found = _facing_in_space(cables, _is_round(cables) & taut)
+    parts = 1.0 - _gaps(found, places)[2] / found.least
+    worst = dict[LaidCable, float]()
+    for k in np.flatnonzero(parts > 0.0):
+        v, a = found.blocks[found.pointers[k] : found.pointers[k] + 2]
+        for c in nodes.cable[[v, a]]:
+            worst[cables[c]] = max(float(parts[k]), worst.get(cables[c], 0.0))
+    return worst
+
+
+def _facing_in_space(
+    cables: Sequence[LaidCable], chosen: Booleans
+) -> tuple[NodeTable, Array, Facing]:
+    """Nodes of cables, their places, and vertices that face others of the chosen ones (n,) which
+    are too near where they are now."""
+    nodes, places = NodeTable.of(cables), positions_of(cables)
+    inner = (nodes.kind[1:] == VERTEX) & (nodes.kind[:-1] == VERTEX) & (np.diff(nodes.cable) == 0)
+    reach = norm(np.diff(places, axis=0)).max(where=inner, initial=0.0)
+    found = _facing(cables, chosen, nodes, places, np.full(len(places), reach), BESIDE)
+    return nodes, places, found
+
+
+def side_forces(facing: Facing, places: Array) -> Array:
+    """Forces (m, 3) of cables on each other at nodes at `places` (m, 3), by plain numpy."""
+    rows, weights, away, ways = _gaps(facing, places)
+    push = (facing.stiffness * np.maximum(facing.least - away, 0.0))[:, None] * ways
+    forces = np.zeros_like(places)
+    np.add.at(forces, facing.blocks[facing.pointers[:-1]], push)
+    np.subtract.at(forces, rows, weights[:, :, None] * push[:, None])
+    return forces
+
+
+def refuse_too_near(cables: Sequence[LaidCable], new: int) -> None:
+    """Refuse cables of which one of the last `new` lies nearer to another than both radii."""
+    chosen = _is_round(cables)
+    if np.count_nonzero(chosen) < 2 or not chosen[-new:].any():
+        return
+    nodes, places, found = _facing_in_space(cables, chosen)
+    if not len(found.least):
+        return
+    away = _gaps(found, places)[2]
+    k = int(np.argmin(away / found.least))
+    if away[k] < (1.0 - SAME_PLACE) * found.least[k]:
+        v, a = found.blocks[found.pointers[k] : found.pointers[k] + 2]
+        one, other = (cables[int(nodes.cable[row])] for row in (v, a))
+        raise InputError(
+            f"lay_cable: {one.name!r} would lie {away[k]:.4g} from {other.name!r} near "
+            f"{as_text(places[v])}, but with the diameters {one.cable.diameter:g} and "
+            f"{other.cable.diameter:g} they touch at {found.least[k]:.4g}; lay them further apart, "
+            "or without diameters, which then have no contact."
+        )
