@@ -264,10 +264,11 @@ def _cable(cable: LaidCable, units: Units) -> Row:
     names = {"outside": "on the membrane", "sleeve": "in a sleeve", "pocket": "in a pocket"}
     lies = names.get(cable.hold, cable.hold)
     lies += "" if cable.state.laid.line is None else ", on a mesh line"
-    ends = " / ".join(
+    held = (
         joint or ("anchored" if end != "tied" else "tied")
         for end, joint in zip(cable.ends, cable.state.laid.joints, strict=True)
     )
+    ends = " / ".join(dict.fromkeys(held))  # once if alike, to keep rows on one line
     L0, friction_data = units.exact(cable.L0), "none" if free else data
     warm = cable.cable.expansion
     return cable.name, cable.cable.EA, L0, friction_data, ends, lies, warm
