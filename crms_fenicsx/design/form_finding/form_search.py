@@ -358,6 +358,7 @@ def _projected(directions: Array, forces: Array) -> Array:
 
 NO_FORM = (
     "there is no such form, or none near the start mesh. Supports may be too far apart for a "
-    "surface between them, cables too weak or too long for the film, or the pressure too high."
+    "surface between them, cables too weak or too long for the film, or the pressure too high: "
+    "p R < 2 s for a dome of radius R, and give rise= instead to have the pressure found."
 )
 """Remedy in messages about forms not found."""

@@ -642,7 +642,7 @@ def test_lengths_to_order(comm: MPI.Intracomm, folder: Path) -> None:
     rows = (folder / "cables.csv").read_text().splitlines()
     assert len(rows) == 5 and rows[1].split(",")[5:7] == ["start", "a x b"]
     text = (folder / "net.html").read_text()
-    assert "Fabrication lengths of the cables" in text and "Foundations" in text and "a x b" in text
+    assert "measured at 20 K below the model" in text and "Foundations" in text and "a x b" in text
     sums = (folder / "net_foundations.csv").read_text().splitlines()
     pull = -a.start.reaction
     found = [float(x) for x in sums[1].split(",")[2:]]

@@ -67,7 +67,7 @@ def test_warp_of_cells_with_shapes_of_their_own() -> None:
 def test_design_values_can_be_followed() -> None:
     """Of cables and bars with all factors, by hand; of alike members in turn in one row."""
     scene = scene_of(IsotropicMembrane(E=800.0, nu=0.3, thickness=1.0, prestress=1.0))
-    scene.lay_cable(Cable(EA=2e3), [(0.0, 1.7), (4.0, 2.2)], name="A1")
+    scene.lay_cable(Cable(EA=2e3, expansion=1.2e-5), [(0.0, 1.7), (4.0, 2.2)], name="A1")
     rough = Cable(EA=2e3, friction=Friction(0.1, along=0.2))
     scene.lay_cable(rough, [(1.7, 0.0), (2.2, 4.0)], name="A2")
     scene.lay_cable(Cable(EA=2e3, friction=0.3), [(2.9, 0.0), (2.8, 4.0)], name="A3")
@@ -81,6 +81,8 @@ def test_design_values_can_be_followed() -> None:
     tables = model_of_scene(scene, Units("m", "kN")).tables
     frictions = [str(row[3])[:8] for row in tables["cables"].rows]
     assert frictions == ["none", "mu = 0.1", "mu = 0.3"]
+    assert [row[-1] for row in tables["cables"].rows] == [1.2e-5, None, None]
+    assert [row[-1] for row in tables["bars"].rows] == [1.2e-5, *[None] * 4]
     assert [row[3] for row in tables["bars"].rows] == [bar.L0 for bar in scene.bars]
     first, second, third = tables["cable values"].rows
     # F_Rd = min(0.9 220 / (1.5 0.9), 130 / 0.9), in service 0.45 0.9 220

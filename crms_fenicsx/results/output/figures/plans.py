@@ -42,7 +42,8 @@ def draw_forces(plan: ForcePlan, unit: str, force: str, dpi: int, width: float =
     places: list[Array] = [plan.outline[..., :2].reshape(-1, 2), plan.rim[..., :2].reshape(-1, 2)]
     places += [at[None, :2] for at, _ in plan.points.values()]
     flats = np.concatenate(places)
-    air = ROOM + 0.5 if plan.most_per_length > 0.0 else ROOM
+    few = len(plan.points) <= 30  # names have their vertical force beside them
+    air = ROOM + (0.5 if few else 0.15) * (plan.most_per_length > 0.0)
     axes, size = _axes(flats, unit, width, air)
     centre = (flats.min(axis=0) + flats.max(axis=0)) / 2
     high = float(np.linalg.norm(plan.per_length, axis=2).max(initial=0.0))
@@ -73,7 +74,6 @@ def draw_forces(plan: ForcePlan, unit: str, force: str, dpi: int, width: float =
                 "", tip, at[:2], zorder=4,
                 arrowprops={"arrowstyle": "-|>", "color": colour, "linewidth": 1.3},
             )  # fmt: skip
-        few = len(plan.points) <= 30
         side = (at[:2] - centre) / np.maximum(np.ptp(flats, axis=0), 1e-300)
         across = abs(side[1]) > abs(side[0])  # at the upper or lower side
         out = np.sign(side) * (not across, across)

@@ -302,8 +302,9 @@ def cables_to_order(cables: Order, units: Units) -> Table:
         for row in cables.rows()
     ]
     start, end = cables.allowance
+    kelvin = f"{abs(cables.temperature):g} K {'below' if cables.temperature < 0.0 else 'above'}"
     caption = (
-        f"Fabrication lengths of the cables, measured at {cables.temperature:g} K above the "
+        f"Fabrication lengths of the cables, measured at {kelvin} the "
         f"model's temperature; cut with allowances of {start:g} and {end:g}"
     )
     return Table(caption, columns, rows, "order")

@@ -77,13 +77,14 @@ def model_of_scene(scene: Scene, units: Units) -> Model:
         ),
         "cables": (
             "Cables",
-            "Cable|EA{force}|Unstressed length{length}|Friction|Start / end|Position",
+            "Cable|EA{force}|Unstressed length{length}|Friction|Start / end|Position|"
+            "Expansion [1/K]",
             [_cable(cable, units) for cable in scene.cables],
         ),
         "bars": (
             "Bars",
             "Bar|Kind|EA{force}|Unstressed length{length}|Start at x; y; z{length}|"
-            "End at x; y; z{length}",
+            "End at x; y; z{length}|Expansion [1/K]",
             [_bar(bar, units) for bar in scene.bars],
         ),
         "joints": (
@@ -263,12 +264,14 @@ def _cable(cable: LaidCable, units: Units) -> Row:
     names = {"outside": "on the membrane", "sleeve": "in a sleeve", "pocket": "in a pocket"}
     lies = names.get(cable.hold, cable.hold)
     lies += "" if cable.state.laid.line is None else ", on a mesh line"
-    ends = " / ".join(
+    held = (
         joint or ("anchored" if end != "tied" else "tied")
         for end, joint in zip(cable.ends, cable.state.laid.joints, strict=True)
     )
+    ends = " / ".join(dict.fromkeys(held))  # once if alike, to keep rows on one line
     L0, friction_data = units.exact(cable.L0), "none" if free else data
-    return cable.name, cable.cable.EA, L0, friction_data, ends, lies
+    warm = cable.cable.expansion
+    return cable.name, cable.cable.EA, L0, friction_data, ends, lies, warm
 
 
 def _bar(bar: PlacedBar, units: Units) -> Row:
@@ -278,7 +281,7 @@ def _bar(bar: PlacedBar, units: Units) -> Row:
         else _place(one.position, units) if is_unnamed(one.name) else one.name
         for one in (bar.start, bar.end)
     )  # fmt: skip
-    return bar.name, kind, bar.bar.EA, units.exact(bar.L0), start, end
+    return bar.name, kind, bar.bar.EA, units.exact(bar.L0), start, end, bar.bar.expansion
 
 
 def _place(at: Iterable[float], units: Units) -> str:

@@ -110,7 +110,7 @@ class ResultTables:
         )
         columns += [*loads, "Strengths divided by"]
         caption = f"{'Inner pressure and factors' if pressed else 'Factors'} of the loads"
-        return Table(caption, columns, rows, "combinations", small=len(loads) > 5)
+        return Table(caption, columns, rows, "combinations", small=len(loads) > 4)
 
     def overview(self) -> Table:
         """Deformation and state of the membrane."""

@@ -60,8 +60,9 @@ FORCES_ON = (
     "meet at one place are added up; forces of a foundation with several such places act at their "
     "centre, with the moments Mx, My and Mz about it. Held edges carry the membrane's other "
     "forces; a vertex of two groups counts with the larger one. The plans show horizontal forces "
-    "as arrows, forces per length beside the rim, and vertical forces as numbers, to one scale. "
-    "Orange is uplift, blue is downward. The CSV files have all combinations."
+    "as arrows, forces per length beside the rim, to one scale, and vertical forces as numbers "
+    "where there are up to 30 foundations. Orange is uplift, blue is downward. The CSV files have "
+    "all combinations."
 )
 PONDING = (
     "Rain cannot drain from these places over an edge of the roof. Depth, volume and area are "
