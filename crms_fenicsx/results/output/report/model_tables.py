@@ -77,13 +77,13 @@ def model_of_scene(scene: Scene, units: Units) -> Model:
         ),
         "cables": (
             "Cables",
-            "Cable|EA{force}|Unstressed length{length}|Friction|Start / end|Position",
+            "Cable|EA{force}|Unstressed length{length}|Friction|Start / end|Position|" + EXPANSION,
             [_cable(cable, units) for cable in scene.cables],
         ),
         "bars": (
             "Bars",
             "Bar|Kind|EA{force}|Unstressed length{length}|Start at x; y; z{length}|"
-            "End at x; y; z{length}",
+            "End at x; y; z{length}|" + EXPANSION,
             [_bar(bar, units) for bar in scene.bars],
         ),
         "joints": (
@@ -115,6 +115,9 @@ def model_of_scene(scene: Scene, units: Units) -> Model:
         basis=_basis(scene, units),
     )  # fmt: skip
 
+
+EXPANSION = "Expansion [1/K]"
+"""Heading of coefficients of thermal expansion, where some are given."""
 
 PRESSED = "Pressure acts on"
 """Property that only models under inner pressure need."""
@@ -268,7 +271,7 @@ def _cable(cable: LaidCable, units: Units) -> Row:
         for end, joint in zip(cable.ends, cable.state.laid.joints, strict=True)
     )
     L0, friction_data = units.exact(cable.L0), "none" if free else data
-    return cable.name, cable.cable.EA, L0, friction_data, ends, lies
+    return cable.name, cable.cable.EA, L0, friction_data, ends, lies, cable.cable.expansion
 
 
 def _bar(bar: PlacedBar, units: Units) -> Row:
@@ -278,7 +281,7 @@ def _bar(bar: PlacedBar, units: Units) -> Row:
         else _place(one.position, units) if is_unnamed(one.name) else one.name
         for one in (bar.start, bar.end)
     )  # fmt: skip
-    return bar.name, kind, bar.bar.EA, units.exact(bar.L0), start, end
+    return bar.name, kind, bar.bar.EA, units.exact(bar.L0), start, end, bar.bar.expansion
 
 
 def _place(at: Iterable[float], units: Units) -> str:
