@@ -160,8 +160,7 @@ class DuopitchSnow:
 @checked
 @dataclass(frozen=True)
 class MultispanSnow:
-    """Snow on multi-span roofs, and on ridges and valleys of tents, EN 1991-1-3, 5.3.4 and figure
-    5.4.
+    """Snow on multi-span roofs and on ridges and valleys of tents, EN 1991-1-3, 5.3.4, figure 5.4.
 
     Parameters
     ----------

@@ -194,3 +194,27 @@ def test_moment_of_a_braced_mast(
     moment = [float(row[f"M{x}"]) for x in "xyz"]
     np.testing.assert_allclose(moment, due, atol=1e-6 * np.linalg.norm(due))
     assert "Mx" not in read_csv(folder / "b_foundations.csv")[0]
+
+
+@pytest.mark.ranks
+def test_a_foundation_that_loses_a_member(comm: MPI.Intracomm, folder: Path) -> None:
+    """It keeps its name where a bar is missing, and has all members in the table of points."""
+    scene = clamped(
+        meshes.rectangle(comm, 4.0, 4.0, 1.0, structured=True),
+        IsotropicMembrane(E=800.0, nu=0.3, thickness=1.0, prestress=1.0),
+    )
+    scene.put_load((0.0, 0.0, -0.1), name="snow")
+    middle = scene.vertex_at((2.0, 2.0, 0.0))
+    for name, foot in {"a": (2.0, 2.0, 3.0), "b": (2.0, 2.0, 3.0), "c": (4.0, 2.0, 3.0)}.items():
+        scene.add_bar(Bar(EA=50.0, expansion=1.2e-5), foot, middle, name=name)
+    solver = Solver(scene)
+    given = {"all": {"snow": 1.0}, "lost": {"snow": 1.0, "without": ["b"]}}
+    solver.report(folder / "lost.html", solver.combine(given), pictures=["height"])
+    comm.barrier()
+    points = read_csv(folder / "lost_foundation_points.csv")
+    assert sorted(one["Attached"] for one in points) == ["a, b", "c"]
+    (shared,) = (one["Foundation"] for one in points if one["Attached"] == "a, b")
+    rows = read_csv(folder / "lost_foundations.csv")
+    assert [one["Combination"] for one in rows if one["Foundation"] == shared] == ["all", "lost"]
+    heads, *bars = Page((folder / "lost.html").read_text(encoding="utf-8")).tables["Bars"]
+    assert heads[-1] == "Expansion [1/K]" and {row[-1][:5] for row in bars} == {"1.200"}

@@ -9,6 +9,7 @@ from itertools import groupby
 
 from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.model.bar import PlacedBar
+from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.strengths import ALL, LIMIT_STATES, SERVICE, CableDesign, Limits
 from crms_fenicsx.results.output.report.case import Case
 from crms_fenicsx.results.output.report.page import WHOLE, Cell, Table, Units, number, shown
@@ -31,7 +32,9 @@ BARS = (
 def cable_values(scene: Scene) -> list[Row]:
     """Design values of cables and guys by EN 1993-1-11, or as given; none of cables without."""
     rows = list[Row]()
-    for cable in [*scene.cables, *filter(scene.design.names, scene.bars)]:
+    guys = [bar for bar in scene.bars if scene.design.names(bar)]
+    every: list[LaidCable | PlacedBar] = [*scene.cables, *guys]
+    for cable in every:
         known = scene.design.cables
         one = known.get(cable.name, known.get(ALL))
         if isinstance(one, CableDesign):

@@ -42,9 +42,13 @@ class FoundationTables:
         of_case = {case.name: case.foundations.points for case in self.cases}
         every = [point for points in of_case.values() for point in points]
         first = {one.members: one.at for one in reversed(every)}
+        # where a member is missing or not yet there, the place stays the same foundation
+        largest = sorted(every, key=lambda one: -len(one.members))
+        whole = {key: next(one for one in largest if {*key} <= {*one.members}) for key in first}
         rest = {
-            one.members for one in every if not any(self._carries(x, one) for x in self.carried)
-        }
+            one.members
+            for one in whole.values() if not any(self._carries(x, one) for x in self.carried)
+        }  # fmt: skip
         centre = np.mean([*first.values()], axis=0) if first else np.zeros(3)
         order = sorted(rest, key=lambda key: _angle(triple(np.subtract(first[key], centre))))
         numbers = (name for k in count(1) if (name := f"F{k}") not in self.carried)
@@ -52,7 +56,11 @@ class FoundationTables:
         found: dict[str, dict[str, FoundationPoint]] = {}
         for name in (*self.carried, *labels.values()):
             for case, points in of_case.items():
-                own = [x for x in points if self._carries(name, x) or labels.get(x.members) == name]
+                own = [
+                    x for x in points
+                    if labels.get(whole[x.members].members) == name
+                    or self._carries(name, whole[x.members])
+                ]  # fmt: skip
                 if own:
                     found.setdefault(name, {})[case] = _summed(own)
         return found
@@ -68,7 +76,8 @@ class FoundationTables:
                 label, *map(self.units.exact, clean(one.at, max(map(abs, one.at)), 1e-4)),
                 ", ".join(re.sub("^(start|end) of ", "", name) for name in one.members),
             )
-            for label, found in self.points.items() for one in list(found.values())[:1]
+            for label, found in self.points.items()
+            for one in [max(found.values(), key=lambda one: len(one.members))]
         ]  # fmt: skip
         columns = self.units.headings("Foundation|x{length}|y{length}|z{length}|Attached")
         return Table("Foundation points", columns, rows, "foundation_points")

@@ -77,14 +77,13 @@ def model_of_scene(scene: Scene, units: Units) -> Model:
         ),
         "cables": (
             "Cables",
-            "Cable|EA{force}|Unstressed length{length}|Friction|Start / end|Position|"
-            "Expansion [1/K]",
+            "Cable|EA{force}|Unstressed length{length}|Friction|Start / end|Position|" + EXPANSION,
             [_cable(cable, units) for cable in scene.cables],
         ),
         "bars": (
             "Bars",
             "Bar|Kind|EA{force}|Unstressed length{length}|Start at x; y; z{length}|"
-            "End at x; y; z{length}|Expansion [1/K]",
+            "End at x; y; z{length}|" + EXPANSION,
             [_bar(bar, units) for bar in scene.bars],
         ),
         "joints": (
@@ -116,6 +115,9 @@ def model_of_scene(scene: Scene, units: Units) -> Model:
         basis=_basis(scene, units),
     )  # fmt: skip
 
+
+EXPANSION = "Expansion [1/K]"
+"""Heading of coefficients of thermal expansion, where some are given."""
 
 PRESSED = "Pressure acts on"
 """Property that only models under inner pressure need."""
@@ -270,8 +272,7 @@ def _cable(cable: LaidCable, units: Units) -> Row:
     )
     ends = " / ".join(dict.fromkeys(held))  # once if alike, to keep rows on one line
     L0, friction_data = units.exact(cable.L0), "none" if free else data
-    warm = cable.cable.expansion
-    return cable.name, cable.cable.EA, L0, friction_data, ends, lies, warm
+    return cable.name, cable.cable.EA, L0, friction_data, ends, lies, cable.cable.expansion
 
 
 def _bar(bar: PlacedBar, units: Units) -> Row:
