@@ -64,6 +64,8 @@ def test_reasons_in_plain_words(case: Case) -> None:
         "snow", "Corners to be reinforced"
     ]  # fmt: skip
     assert verdict.text.startswith("Verified: the state passed all checks")
+    staged = judged([good, replace(good, stage=1)])
+    assert staged.text.startswith("Verified: all 2 combinations and stages passed")
     for changed, words in (
         (replace(good, volume=-0.9), "turned inside out"),
         (replace(good, volume=0.3), "collapsed: 30.0 % of its inner volume"),

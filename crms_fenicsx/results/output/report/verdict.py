@@ -82,7 +82,8 @@ def governing(found: Iterable[Judged]) -> list[Judged]:
 def verdict_on(cases: Sequence[Case], size: float, strain: float, units: Units) -> Verdict:
     """The verdict, with all objections to the structure or its results, grouped by limit state,
     and what is not judged; `strain` is the limit of the major principal strain."""
-    count = f"all {len(cases)} combinations" if len(cases) > 1 else "the state"
+    kinds = "combinations and stages" if any(case.stage for case in cases) else "combinations"
+    count = f"all {len(cases)} {kinds}" if len(cases) > 1 else "the state"
     reasons = [*_doubts(cases), *_excess(judged(cases, strain), size, units)]
     unjudged = [*_unjudged(cases)]
     told, (refined, coarse) = [*_reinforced(cases), *_rain(cases, size, units)], _refined(cases)
