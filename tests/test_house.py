@@ -56,13 +56,13 @@ OPTIONS = set(
 
 
 BUDGETS = {
-    "foundation": 10830,
-    "model": 3755,
-    "energy": 7345,
-    "cabling": 8095,
-    "analysis": 8038,
-    "results": 11914,
-    "solver": 1059,
+    "foundation": 10825,
+    "model": 3769,
+    "energy": 7581,
+    "cabling": 8379,
+    "analysis": 8145,
+    "results": 11956,
+    "solver": 1060,
     "design": 9377,
 }
 """Lines of each wing. They may only fall, or rise with a line in docs/features.md."""
@@ -71,9 +71,9 @@ RATCHETS = {
     "isinstance of own types": 151,
     "attributes that are born late": 100,
     "files of less than 100 lines": 29,
-    "public functions and classes": 1120,
-    "classes": 448,
-    "module constants": 270,
+    "public functions and classes": 1132,
+    "classes": 451,
+    "module constants": 272,
     "numbers in values": 72,
     "numbers that decide the answer": 29,
 }
