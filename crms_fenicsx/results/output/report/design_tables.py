@@ -9,7 +9,6 @@ from itertools import groupby
 
 from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.model.bar import PlacedBar
-from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.strengths import ALL, LIMIT_STATES, SERVICE, CableDesign, Limits
 from crms_fenicsx.results.output.report.case import Case
 from crms_fenicsx.results.output.report.page import WHOLE, Cell, Table, Units, number, shown
@@ -31,20 +30,18 @@ BARS = (
 
 def cable_values(scene: Scene) -> list[Row]:
     """Design values of cables and guys by EN 1993-1-11, or as given; none of cables without."""
-    rows = list[Row]()
-    guys = [bar for bar in scene.bars if scene.design.names(bar)]
-    every: list[LaidCable | PlacedBar] = [*scene.cables, *guys]
-    for cable in every:
-        known = scene.design.cables
-        one = known.get(cable.name, known.get(ALL))
+    rows, known = list[Row](), scene.design.cables
+    guys = [bar.name for bar in scene.bars if bar.bar.tension_only and bar.name in known]
+    for name in [*(cable.name for cable in scene.cables), *guys]:
+        one = known.get(name, known.get(ALL))
         if isinstance(one, CableDesign):
             broken = one.breaking * one.ending
             rows.append((
-                cable.name, one.breaking, one.ending, broken, one.proof, one.gamma_R,
+                name, one.breaking, one.ending, broken, one.proof, one.gamma_R,
                 one.of(LIMIT_STATES[0]), one.of(SERVICE[0]),
             ))  # fmt: skip
         else:
-            rows.append((cable.name, *(None,) * 5, one, None))
+            rows.append((name, *(None,) * 5, one, None))
     return rows if any(row[6] is not None for row in rows) else []
 
 
