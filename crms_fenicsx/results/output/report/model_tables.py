@@ -77,13 +77,14 @@ def model_of_scene(scene: Scene, units: Units) -> Model:
         ),
         "cables": (
             "Cables",
-            "Cable|EA{force}|Unstressed length{length}|Friction|Start / end|Position|" + EXPANSION,
+            "Cable|EA{force}|Unstressed length{length}|Friction|Start / end|Position|"
+            "Expansion [1/K]",
             [_cable(cable, units) for cable in scene.cables],
         ),
         "bars": (
             "Bars",
             "Bar|Kind|EA{force}|Unstressed length{length}|Start at x; y; z{length}|"
-            "End at x; y; z{length}|" + EXPANSION,
+            "End at x; y; z{length}|Expansion [1/K]",
             [_bar(bar, units) for bar in scene.bars],
         ),
         "joints": (
@@ -115,9 +116,6 @@ def model_of_scene(scene: Scene, units: Units) -> Model:
         basis=_basis(scene, units),
     )  # fmt: skip
 
-
-EXPANSION = "Expansion [1/K]"
-"""Heading of coefficients of thermal expansion, where some are given."""
 
 PRESSED = "Pressure acts on"
 """Property that only models under inner pressure need."""
