@@ -60,8 +60,8 @@ BUDGETS = {
     "model": 3769,
     "energy": 7581,
     "cabling": 8379,
-    "analysis": 8145,
-    "results": 11956,
+    "analysis": 8152,
+    "results": 11951,
     "solver": 1060,
     "design": 9377,
 }

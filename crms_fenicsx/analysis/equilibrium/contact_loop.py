@@ -97,11 +97,12 @@ class ContactLoop:
             if system.collapse:
                 return replace(total, converged=False, reason=system.collapse)
             # friction is updated from places also near equilibrium, where a look ends a solve; at
-            # the end it is in balance where the rows then lie, to the solver's tolerance, at which
-            # small shifts no longer shrink
+            # the end, small shifts that no longer shrink are due to the solver's tolerance
             rests = way <= NEAR if outcome.reason == "interrupted" else last <= way <= SETTLED
             if not changes and (self._once or rests or way == 0.0):
-                if way > 0.0:
+                if way > 0.0 and outcome.reason == "converged" and not self._once:
+                    total += system.settle()
+                elif way > 0.0:
                     system.renew_base()
                 if not looked and look is not None:
                     look(False)

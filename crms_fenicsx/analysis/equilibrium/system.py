@@ -243,8 +243,9 @@ class System:
         """Why the last motion of the mesh cannot be used; "" if it can."""
         return "" if self._rows is None else self._rows.collapse
 
-    def renew_base(self) -> None:
-        """Start from the stress-free places that the membrane has now. Collective."""
+    def renew_base(self, held: bool = False) -> None:
+        """Start from the stress-free places that the membrane has now, with all rows `held` there
+        or with those that shift. Collective."""
         assert self.shifts is not None and self.cables is not None
         if not self.cables.faces_all:  # rows have come near each other
             self.rebuild()
@@ -253,12 +254,22 @@ class System:
         self.membrane.renew_places()
         if isinstance(self.pressure.term, FollowerPressure):
             self.pressure.renew_places(self.pressure.term)
-        self.shifts.renew(self.unknowns, self._resting)
+        rows = self.cables.numbering.shifts.vertices
+        self.shifts.renew(self.unknowns, rows if held else self._resting)
         for term in self.scene.terms:
             term.attach(self.unknowns)
         self.read_scene()
         self.renew_friction()
         self._built_for = self.scene.versions.model_version, True
+
+    def settle(self) -> Outcome:
+        """Bring the membrane into balance on rows that are held where they lie, after shifts at
+        the solver's tolerance. Collective."""
+        self.renew_base(held=True)
+        outcome = self.minimize((0.0,))
+        self.write_scene()
+        self.renew_base()
+        return outcome
 
     def update(self) -> None:
         """Bring the potential to the scene's state for inspection."""

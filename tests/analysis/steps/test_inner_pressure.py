@@ -219,7 +219,7 @@ def refused(scene: Scene) -> list[tuple[str, object]]:
         ("exponent = 0.9 is below 1", lambda: scene.seal(volume=1.0, exponent=0.9)),
         ("there is no load 'gale'", lambda: solver.advance(pressure=FanControl("gale", [0], [1]))),
         ("pressure = .* is not a valid list", lambda: solver.advance(pressure=[])),
-        ("pressure is of type float; pass a FanControl", lambda: solver.advance(pressure=[0.3])),
+        ("an item of pressure = .0.3. is of type float", lambda: solver.advance(pressure=[0.3])),
     ]  # fmt: skip
 
 

@@ -234,7 +234,7 @@ def snowed(found: FoundForm, **given: object) -> Solver:
 @pytest.mark.ranks
 def test_bonded_edges_of_a_hypar(comm: MPI.Intracomm) -> None:
     """Against an independent code with triangles and bars; the corners' stresses stay."""
-    solver = snowed(hypar(comm, 0.25, bonded=True))
+    solver = snowed(hypar(comm, 0.25, hold="bonded"))
     summary, cables = solver.summary(), solver.scene.cables
     assert summary.lowest.value == pytest.approx(-0.0633, rel=0.01)
     forces = np.concatenate([cable.tensions for cable in cables])

@@ -174,7 +174,7 @@ def test_cable_that_is_dragged_obliquely(comm, mu: float, along: float, degrees:
     assert ratio == pytest.approx(exact[-1], rel=0.06)
     assert ratio < 0.9 * along * np.pi
     shape = scene.net.strip_shape()
-    assert forces(cable, shape, 0.0)["friction beyond its bound"] < 0.05
+    assert forces(cable, shape, 0.0, None)["friction beyond its bound"] < 0.05
     on = [k for k in cable.contacts() if cable.state.nodes[k].slides]
     press = contact_forces(cable, shape)
     sideways = abs(press.lateral[on].sum()) / press.bearing[on].sum()
@@ -188,9 +188,9 @@ def test_verification_sees_what_is_beyond_the_cone(comm) -> None:
     box = Friction(0.3, along=0.3)
     scene, cable, _ = dragged(comm, box, np.radians(45.0))
     shape = scene.net.strip_shape()
-    assert forces(cable, shape, 0.0)["friction beyond its bound"] < 0.1
+    assert forces(cable, shape, 0.0, None)["friction beyond its bound"] < 0.1
     cable.update(cable=replace(cable.cable, friction=replace(box, cone=True)))
-    assert forces(cable, shape, 0.0)["friction beyond its bound"] > 0.3
+    assert forces(cable, shape, 0.0, None)["friction beyond its bound"] > 0.3
 
 
 def test_refusals() -> None:

@@ -234,9 +234,9 @@ def test_verification_finds_friction_beyond_its_bound(comm: MPI.Intracomm) -> No
     some = found.bearing > 0.0
     share = np.abs(found.lateral[some]) / (0.1 * found.bearing[some])
     assert 0.95 < share.max() < 1.05
-    assert forces(cable, shape, 0.0)[name] < 0.02
+    assert forces(cable, shape, 0.0, None)[name] < 0.02
     cable.update(cable=Cable(EA=32000.0, friction=0.05))
-    assert forces(cable, shape, 0.0)[name] > 0.1
+    assert forces(cable, shape, 0.0, None)[name] > 0.1
 
 
 @pytest.mark.ranks

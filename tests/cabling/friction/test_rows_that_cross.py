@@ -283,5 +283,5 @@ def test_the_check_finds_friction_that_the_fabric_does_not_take(comm: MPI.Intrac
     tensions[at:] += 0.5 * jump(cable, k)
     cable.update(axial=replace(grip, tensions=tensions))
     none = np.zeros((solver.system.unknowns.n_local, 3))
-    found = row_checks(solver.system, none, scene.net.strip_shape())
+    found = row_checks(solver.system, none, scene.net.strip_shape(), {})
     assert found[cable]["sideways balance"] > 2e-3
