@@ -175,7 +175,7 @@ def bar_results(scene: Scene) -> dict[str, BarResults]:
 
 def _utilisation(scene: Scene, bar: PlacedBar) -> float | None:
     """Utilisation of a bar in the present limit state: of ropes that are guys as of cables."""
-    if bar.bar.tension_only and bar.name in scene.design.cables:
+    if scene.design.is_rope(bar):
         limit = scene.design.of_cable(bar.name, scene.case.state)
         return None if limit is None else bar.force / limit
     return None if scene.case.state in SERVICE else bar.utilisation

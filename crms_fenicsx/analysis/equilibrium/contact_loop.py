@@ -38,7 +38,7 @@ class ContactLoop:
         self.active, self.sliding, self.start = active, sliding, start
         self._projections = 0
         # in wind, which is to turn before the next search, the mesh follows rows only once
-        self._once = any(load.is_active_wind for load in self.scene.loads)
+        self._once = self.scene.loads.has_wind
 
     def solve_in_cells(self, h0_prestress: tuple[float, ...], rough: bool) -> Outcome:
         """Find the equilibrium on the current paths, or a state near it if `rough`."""
@@ -93,7 +93,7 @@ class ContactLoop:
                 system.write_scene()
             solved = outcome.reason != "interrupted" and not changes
             last = math.inf if begins else way
-            way = system.follow_rows(begins, solved, self._once)
+            way = system.follow_rows(begins, solved)
             if system.collapse:
                 return replace(total, converged=False, reason=system.collapse)
             # friction is updated from places also near equilibrium, where a look ends a solve; at

@@ -38,7 +38,7 @@ def may_have_others(system: System) -> bool:
     whose state does not depend on its history. Collective."""
     scene = system.scene
     parts = scene.cables or scene.frame or scene.ponds or scene.terms
-    follows = any(load.is_active_wind for load in scene.loads)
+    follows = scene.loads.has_wind
     if parts or follows or system.has_history or scene.floor_level is not None:
         return False
     if scene.pressure == 0.0 and scene.air.sealed is None:  # the energy is convex

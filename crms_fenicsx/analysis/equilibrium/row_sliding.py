@@ -116,18 +116,12 @@ class RowSliding:
         self.motions = Motions()
 
     def follow(
-        self,
-        shifts: ShiftContribution,
-        potential: Potential,
-        begins: bool,
-        solved: bool,
-        windy: bool,
+        self, shifts: ShiftContribution, potential: Potential, begins: bool, solved: bool
     ) -> float:
         """Move the stress-free places by the shifts of the last solve, and the mesh around them
         unless all are small; return the largest, relative to the cell size. Vertices below spans
         move under these. `begins`: whether it is the first in a solve; `solved`: whether it
-        follows a solved state without new contacts; `windy`: whether the wind is to turn after it.
-        Collective."""
+        follows a solved state without new contacts. Collective."""
         self.collapse = ""
         self._aside = 0 if begins else self._aside
         rows, membrane = shifts.numbering.shifts, self.scene.membrane
@@ -141,6 +135,7 @@ class RowSliding:
         way = max(way, aside)
         if way == 0.0:
             return 0.0
+        windy = self.scene.loads.has_wind
         self.motions.let_rest(rows, norm(ways) / rows.sizes, solved, windy)
         if way > NEAR:
             motion = self._renewed(rows.vertices)

@@ -214,16 +214,16 @@ class System:
         flat &= self.slide and self.shifts is None
         self.holds_rows = flat and any(cable.takes_line for cable in self.scene.cables)
 
-    def follow_rows(self, begins: bool, solved: bool, windy: bool) -> float:
+    def follow_rows(self, begins: bool, solved: bool) -> float:
         """Move the scene's stress-free mesh by the shifts of the last solve; return the largest, as
-        `largest_shift`. `begins`, `solved`, `windy`: see `RowSliding.follow`. Collective."""
+        `largest_shift`. `begins`, `solved`: see `RowSliding.follow`. Collective."""
         way = 0.0
         if self.shifts is not None:
             if self._rows is None:
                 from crms_fenicsx.analysis.equilibrium.row_sliding import RowSliding
 
                 self._rows = RowSliding(self.scene)
-            way = self._rows.follow(self.shifts, self.potential, begins, solved, windy)
+            way = self._rows.follow(self.shifts, self.potential, begins, solved)
         self.rows_rest = way <= SETTLED
         return way
 

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from crms_fenicsx.analysis.scene.frame import Frame
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arguments import NonNegative, Positive, collective
+from crms_fenicsx.model.bar import PlacedBar
 from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.model.strengths import (
     ALL,
@@ -149,6 +150,10 @@ class Design:
             return {}
         acting = acting_loads(factors)
         return {part: one.of(state, acting) for part, one in self.membrane.strengths.items()}
+
+    def is_rope(self, bar: PlacedBar) -> bool:
+        """Whether a bar is a guy that is judged as a cable."""
+        return bar.bar.tension_only and bar.name in self.cables
 
     def of_cable(self, name: str, state: str) -> float | None:
         """Design value of a cable's tension in a limit state (force); None if unknown."""

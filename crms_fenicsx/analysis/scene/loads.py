@@ -343,6 +343,11 @@ class Loads(Stateful[LoadsState]):
         changes = checked_changes(change, {"fabric": parts, "cables": cables, "bars": bars})
         self.add(MembraneLoad(name, np.zeros(self.membrane.held.shape), 0.0, warms=changes))
 
+    @property
+    def has_wind(self) -> bool:
+        """Whether a wind acts, whose forces turn with the membrane."""
+        return any(load.is_active_wind for load in self)
+
     def warming(self, one: LaidCable | PlacedBar | int) -> float:
         """Present temperature change (kelvin) of a cable, a bar or a material, by its number."""
         return sum(load.factor * change for load, change in self.warmings(one))

@@ -202,11 +202,10 @@ class IncrementSolver:
         if self._verifier is not None:
             self._verifier.begin()
         search, verification = self.search, None
-        windy = any(load.is_active_wind for load in self.scene.loads)
         outcome = search.find(h0_prestress)
         if outcome.converged and has_free_rim(self.scene):
             outcome = self._iterate_pressure(outcome)
-        if outcome.converged and windy:
+        if outcome.converged and self.scene.loads.has_wind:
             outcome = self._iterate_wind(outcome, search)
         hanging = next((pond for pond in self.scene.ponds if pond.volume < 0.0), None)
         if outcome.converged and hanging is not None:

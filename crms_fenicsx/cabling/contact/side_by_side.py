@@ -33,10 +33,14 @@ STIFF = 10.0
 force it yields by a tenth of the fabric's strain."""
 
 
-def _is_round(cables: Sequence[LaidCable]) -> Booleans:
-    """Whether each cable lies along a line and has a diameter, (n,)."""
+def _is_round(cables: Sequence[LaidCable], slack: bool = False) -> Booleans:
+    """Whether each cable is taut, or may be `slack`, lies along a line and has a diameter, (n,)."""
     return np.array(
-        [one.cable.diameter > 0.0 and one.state.laid.line is not None for one in cables], dtype=bool
+        [
+            one.cable.diameter > 0.0 and one.state.laid.line is not None and (slack or one.taut)
+            for one in cables
+        ],
+        dtype=bool,
     )
 
 
@@ -53,9 +57,8 @@ def facing_on_mesh(
     longest = norm(corners - np.roll(corners, 1, axis=1)).max(axis=1, initial=0.0)
     np.maximum.at(sizes, inside, longest[:, None])
     at = np.searchsorted(strip.vertices, nodes.support[:, 0]).clip(0, len(strip.vertices) - 1)
-    taut = np.array([one.taut for one in cables], dtype=bool)
     places = shape.stress_free[at]
-    found = _facing(cables, _is_round(cables) & taut, nodes, places, cells * sizes[at], cells)
+    found = _facing(cables, _is_round(cables), nodes, places, cells * sizes[at], cells)
     found.stiffness[:] = stiffnesses(found, nodes, shape, materials)
     return found
 
@@ -167,8 +170,7 @@ def forces_beside(net: CableNet, materials: Iterable[MembraneMaterial]) -> dict[
 
 def overlaps(cables: Sequence[LaidCable]) -> dict[LaidCable, float]:
     """By which part of their least distance each taut cable and one beside it are too near."""
-    taut = np.array([one.taut for one in cables], dtype=bool)
-    nodes, places, found = _facing_in_space(cables, _is_round(cables) & taut)
+    nodes, places, found = _facing_in_space(cables, _is_round(cables))
     parts = 1.0 - _gaps(found, places)[2] / found.least
     worst = dict[LaidCable, float]()
     for k in np.flatnonzero(parts > 0.0):
@@ -202,7 +204,7 @@ def side_forces(facing: Facing, places: Array) -> Array:
 
 def refuse_too_near(cables: Sequence[LaidCable], new: int) -> None:
     """Refuse cables of which one of the last `new` lies nearer to another than both radii."""
-    chosen = _is_round(cables)
+    chosen = _is_round(cables, slack=True)
     if np.count_nonzero(chosen) < 2 or not chosen[-new:].any():
         return
     nodes, places, found = _facing_in_space(cables, chosen)

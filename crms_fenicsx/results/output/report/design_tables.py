@@ -31,7 +31,7 @@ BARS = (
 def cable_values(scene: Scene) -> list[Row]:
     """Design values of cables and guys by EN 1993-1-11, or as given; none of cables without."""
     rows, known = list[Row](), scene.design.cables
-    guys = [bar.name for bar in scene.bars if bar.bar.tension_only and bar.name in known]
+    guys = [bar.name for bar in scene.bars if scene.design.is_rope(bar)]
     for name in [*(cable.name for cable in scene.cables), *guys]:
         one = known.get(name, known.get(ALL))
         if isinstance(one, CableDesign):
