@@ -198,7 +198,8 @@ def test_moment_of_a_braced_mast(
 
 @pytest.mark.ranks
 def test_a_foundation_that_loses_a_member(comm: MPI.Intracomm, folder: Path) -> None:
-    """It keeps its name where a bar is missing, and has all members in the table of points."""
+    """It keeps its name where a bar is missing, and has all members in the table of points; so does
+    the one that governs where others have none."""
     scene = clamped(
         meshes.rectangle(comm, 4.0, 4.0, 1.0, structured=True),
         IsotropicMembrane(E=800.0, nu=0.3, thickness=1.0, prestress=1.0),
@@ -208,13 +209,23 @@ def test_a_foundation_that_loses_a_member(comm: MPI.Intracomm, folder: Path) -> 
     for name, foot in {"a": (2.0, 2.0, 3.0), "b": (2.0, 2.0, 3.0), "c": (4.0, 2.0, 3.0)}.items():
         scene.add_bar(Bar(EA=50.0, expansion=1.2e-5), foot, middle, name=name)
     solver = Solver(scene)
-    given = {"all": {"snow": 1.0}, "lost": {"snow": 1.0, "without": ["b"]}}
+    given = {
+        "all": {"snow": 1.0},
+        "lost": {"snow": 1.0, "without": ["b"]},
+        "one": {"snow": 1.0, "without": ["c"], "state": "accidental"},
+    }
     solver.report(folder / "lost.html", solver.combine(given), pictures=["height"])
     comm.barrier()
     points = read_csv(folder / "lost_foundation_points.csv")
     assert sorted(one["Attached"] for one in points) == ["a, b", "c"]
     (shared,) = (one["Foundation"] for one in points if one["Attached"] == "a, b")
     rows = read_csv(folder / "lost_foundations.csv")
-    assert [one["Combination"] for one in rows if one["Foundation"] == shared] == ["all", "lost"]
+    assert [one["Combination"] for one in rows if one["Foundation"] == shared] == [*given]
+    (left,) = (one["Foundation"] for one in rows if one["Combination"] == "one")
+    most = [
+        one["Governing member"] for one in read_csv(folder / "lost_governing.csv")
+        if one["Limit state"] == "accidental" and one["Verification"].startswith("Foundation")
+    ]  # fmt: skip
+    assert left == "F2" and {*most} == {left}
     heads, *bars = Page((folder / "lost.html").read_text(encoding="utf-8")).tables["Bars"]
     assert heads[-1] == "Expansion [1/K]" and {row[-1][:5] for row in bars} == {"1.200"}

@@ -60,7 +60,7 @@ def by_stage(
     if not stages:
         return []
     heads, found = _heads(factors), list[Table]()
-    rows = [row for row in _rows(replace(of, cases=stages), replace(held, cases=stages), strain)
+    rows = [row for row in _rows(replace(of, cases=stages), held, strain)
             if any(value is not None for value in row[2:])]  # fmt: skip
     for part in in_parts([*range(len(stages))], most or len(stages)):
         names = [heads.get(stages[k].name, stages[k].name) for k in part]
@@ -112,7 +112,7 @@ def _rows(of: ResultTables, held: FoundationTables, strain: float) -> Iterator[R
            *(units.exact(case.deflection.value) for case in cases))  # fmt: skip
     yield (f"Shape{units['length']}", "highest point, z",
            *(units.exact(case.high[2]) for case in cases))  # fmt: skip
-    most = [{one[0]: one[2] for one in replace(held, cases=[case]).largest()} for case in cases]
+    most = [{one[0]: one[2] for one in held.largest({case.name})} for case in cases]
     for name in dict.fromkeys(name for sizes in most for name in sizes):
         yield (f"Foundations{units['force']}", f"largest {name} force",
                *(sizes.get(name) for sizes in most))  # fmt: skip

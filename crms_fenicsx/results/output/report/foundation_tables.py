@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import count
@@ -124,10 +124,11 @@ class FoundationTables:
         )  # fmt: skip
         return up, down, flat, most
 
-    def largest(self) -> list[tuple[str, str, float, str]]:
-        """Kind of force, foundation, size and combination of the largest of all (force)."""
+    def largest(self, cases: Collection[str] | None = None) -> list[tuple[str, str, float, str]]:
+        """Kind of force, foundation, size (force) and combination of the largest of all or some
+        cases by name."""
         kinds = {"uplift": 1, "downward": 3, "horizontal": 5}
-        found, every = [], self.envelope().rows
+        found, every = [], self.envelope(cases).rows
         for kind, k in kinds.items():
             rows = [(row[k], str(row[0]), str(row[k + 1])) for row in every]
             sizes = [(size, label, case) for size, label, case in rows if isinstance(size, float)]
@@ -165,10 +166,13 @@ class FoundationTables:
         )
         return Table(caption, columns, rows, "rim")
 
-    def envelope(self) -> Table:
-        """Governing combinations of each foundation."""
+    def envelope(self, cases: Collection[str] | None = None) -> Table:
+        """Governing combinations of each foundation, of all or some cases by name."""
         rows: list[Row] = []
-        for label, found in self.points.items():
+        for label, points in self.points.items():
+            found = {name: x for name, x in points.items() if cases is None or name in cases}
+            if not found:
+                continue
             up, down, flat, most = self._governing(found)
             lift, push = found[up].force[2], -found[down].force[2]
             noise = 1e-6 * math.hypot(*found[most].force)

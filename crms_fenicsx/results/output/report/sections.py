@@ -260,11 +260,10 @@ class Report:
             if state not in limited and most.deflection.value > 0.0:
                 size = f"{number(most.deflection.value)}{units.plain('length')}"
                 rows.append((state, "Deflection", "", size, None, None, most.name))
-            held = replace(self.held, cases=own)
             rows += [
                 (state, f"Foundation, {kind}", label, f"{number(size)}{units.plain('force')}",
                  None, None, case)
-                for kind, label, size, case in held.largest()
+                for kind, label, size, case in self.held.largest({case.name for case in own})
             ]  # fmt: skip
         states = list(dict.fromkeys(str(row[0]) for row in rows))
         rows.sort(key=lambda row: [*LIMIT_STATES, ""].index(str(row[0])))
