@@ -61,7 +61,7 @@ BUDGETS = {
     "energy": 7581,
     "cabling": 8381,
     "analysis": 8156,
-    "results": 11951,
+    "results": 11954,
     "solver": 1060,
     "design": 9377,
 }
