@@ -20,6 +20,7 @@ from crms_fenicsx.foundation.meshes.triangles import cell_sides
 from crms_fenicsx.foundation.runtime.arrays import Array, floats
 from crms_fenicsx.foundation.runtime.errors import InputError
 from crms_fenicsx.model.bar import Joint, PlacedBar
+from crms_fenicsx.model.combination_table import CombinationTable
 from crms_fenicsx.model.friction import Friction
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.membrane import COMPONENTS
@@ -53,6 +54,7 @@ class Model:
     pressure: float = 0.0  # of the base state (force per area)
     factors: Mapping[str, float] = field(default_factory=dict)  # of the loads in the base state
     basis: Mapping[str, str] = field(default_factory=dict)  # what loads say of codes, by name
+    combined: Sequence[CombinationTable] = ()  # tables that the combinations are of
 
 
 def model_of_scene(scene: Scene, units: Units) -> Model:

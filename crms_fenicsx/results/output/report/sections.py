@@ -12,6 +12,7 @@ import numpy as np
 from crms_fenicsx.model.strengths import LIMIT_STATES
 from crms_fenicsx.results.cable_order import Order
 from crms_fenicsx.results.output.report.case import BASE, Case
+from crms_fenicsx.results.output.report.combination_tables import combination_sections
 from crms_fenicsx.results.output.report.design_tables import alike, fabric_values
 from crms_fenicsx.results.output.report.erection import by_stage, erection
 from crms_fenicsx.results.output.report.foundation_tables import (
@@ -279,11 +280,9 @@ class Report:
     def _basis(self) -> list[PageSection]:
         """What the user and the loads say of codes, sites and factors."""
         rows = [*self.plan.basis.items(), *self.model.basis.items()]
-        if not rows:
-            return []
-        return [
-            PageSection("Basis of design", [Table("Codes, site and loads", ("Item", "Data"), rows)])
-        ]
+        below = combination_sections(self.model.combined)
+        given = [Table("Codes, site and loads", ("Item", "Data"), rows)] if rows else []
+        return [PageSection("Basis of design", given), *below] if rows or below else []
 
     def tables(self) -> list[Table]:
         """The tables for CSV files."""
@@ -307,7 +306,8 @@ class Report:
         more += [self.held.places(), self.held.forces(), self.held.envelope(), self.held.rim()]
         if self.plan.order is not None:
             more.append(cables_to_order(self.plan.order, of.units))
-        more += [part for one in self.plan.sections for part in one.body if isinstance(part, Table)]
+        own = [*combination_sections(self.model.combined), *self.plan.sections]
+        more += [part for one in own for part in one.body if isinstance(part, Table) and part.name]
         return found + [table for table in more if table.rows]
 
     def _tensions(self) -> BarChart:
