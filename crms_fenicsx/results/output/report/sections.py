@@ -218,14 +218,18 @@ class Report:
             *self._foundations(),
             *erection(self.results, self.held, plan.strain_limit, self.factors),
             *plan.sections,
-            PageSection("Verification", [
-                Paragraph(CHECKED), verdicts(self.cases), nearest_to_limits(self.cases)
-            ]),
+            PageSection("Verification", self._verification()),
             PageSection("Notes", [Notes(NOTES)]),
         ]  # fmt: skip
         return page(
             plan.title, self._about(), sections, Path(plan.template) if plan.template else None
         )
+
+    def _verification(self) -> list[PagePart]:
+        """The checks of equilibrium, where there were any."""
+        checks = nearest_to_limits(self.cases)
+        return [*([Paragraph(CHECKED)] if checks.rows else []), verdicts(self.cases),
+                *([checks] if checks.rows else [])]  # fmt: skip
 
     def _about(self) -> list[tuple[str, str]]:
         """Entries below the title: the user's, units, date and program."""
