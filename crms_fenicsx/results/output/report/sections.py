@@ -333,7 +333,8 @@ class Report:
             tables["mesh"] = replace(tables["mesh"], rows=kept)
         below = [tables[x] for x in ("supports", "cables", "bars", "joints") if x in tables]
         design = [fabric_values(self.cases, self.plan.units)]
-        design += [alike(tables[x]) for x in ("cable values", "bar values") if x in tables]
+        design += [alike(tables[x]) for x in ("cable make", "cable values", "bar values")
+                   if x in tables]  # fmt: skip
         design += [tables[x] for x in ["limits"] if x in tables]
         design = [one for one in design if one.rows]
         return [
