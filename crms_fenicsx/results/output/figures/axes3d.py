@@ -39,7 +39,7 @@ FLAT = 1e-6
 """Range of heights, ways or values, relative to their size, up to which they are one."""
 _SMALL = 8.5
 Entry = tuple[Any, str, str]
-"""Colour, text and kind ("line", "patch", "foot", "clamp" or "stripes") in a legend; "" omits it."""
+"""Colour, text, kind ("line", "patch", "foot", "clamp" or "stripes") in a legend; "" omits it."""
 
 
 def with_unit(label: str, unit: str) -> str:
