@@ -52,6 +52,8 @@ class Case:
     pictures: tuple[Figure, ...] = ()
     view: str = ""
     stage: int = 0  # number of the stage of erection; 0 for a combination
+    # pressure and load factors of the combination's base state, if it is not that of the first one
+    base: tuple[float, Mapping[str, float]] | None = None
 
     @property
     def acting(self) -> tuple[float, Mapping[str, float], float, tuple[str, ...]]:

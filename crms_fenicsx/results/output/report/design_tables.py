@@ -13,7 +13,6 @@ from crms_fenicsx.model.strengths import ALL, LIMIT_STATES, SERVICE, CableDesign
 from crms_fenicsx.results.output.report.case import Case
 from crms_fenicsx.results.output.report.page import WHOLE, Cell, Table, Units, number, shown
 from crms_fenicsx.results.output.report.results_tables import Row
-from crms_fenicsx.results.output.report.verdict import listed
 
 CABLES = (
     "Cable|F_min{force}|k_e|F_uk = k_e F_min{force}|F_k{force}|gamma_R|F_Rd{force}|"
@@ -89,7 +88,7 @@ def fabric_values(cases: Sequence[Case], units: Units) -> Table:
     columns += units.headings("f_d warp{stress}|f_d weft{stress}|Combinations")
     every = sum(bool(case.summary.design) for case in cases)
     rows: list[Row] = [
-        (*key, "all" if len(names) == every else listed(names)) for key, names in found.items()
+        (*key, "all" if len(names) == every else ", ".join(names)) for key, names in found.items()
     ]
     return Table("Design strengths of the membrane", columns, rows, small=bool(divided))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import platform
+import re
 import sys
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
@@ -64,7 +65,11 @@ def model_of_scene(scene: Scene, units: Units) -> Model:
         "mesh": ("Mesh and theory", "Property|Value", _mesh(scene, areas, extents, units)),
         "materials": ("Membrane", "Part|Area{area}|Material|Data", _materials(scene, areas, units)),
         "cable values": ("Design values of the cables", CABLES, cable_values(scene)),
-        "bar values": ("Design values of the bars", BARS, bar_values(scene.bars, units)),
+        "bar values": (
+            "Design values of the bars, at their lengths in the base state",
+            BARS,
+            bar_values(scene.bars, units),
+        ),
         "limits": (
             "Limits in service",
             "Limit|Value",
@@ -197,7 +202,8 @@ def _materials(scene: Scene, areas: Array, units: Units) -> list[Row]:
         area = scene.comm.allreduce(float(own.sum()))
         part = membrane.parts.get(k, ALL) or "whole membrane"
         data = _material(material, units, membrane.frames is not None)
-        rows.append((part, area, type(material).__name__, data))
+        kind = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", type(material).__name__).lower()
+        rows.append((part, area, kind, data))
     return rows
 
 

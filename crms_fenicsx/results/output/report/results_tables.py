@@ -9,7 +9,7 @@ from typing import Any
 
 from crms_fenicsx.model.strengths import ALL
 from crms_fenicsx.results.cable_and_bar_results import BarResults
-from crms_fenicsx.results.design_checks import Extreme
+from crms_fenicsx.results.design_checks import Extreme, governing_of
 from crms_fenicsx.results.output.report.case import BASE, Case
 from crms_fenicsx.results.output.report.page import (
     WHOLE,
@@ -42,6 +42,18 @@ class ResultTables:
     cases: Sequence[Case]
     units: Units
     size: float  # largest extent of the stress-free surface (length)
+
+    @property
+    def combined(self) -> ResultTables:
+        """These tables of the combinations only, of which envelopes are; of stages, if there is
+        nothing else."""
+        return replace(self, cases=[x for x in self.cases if not x.stage] or self.cases)
+
+    @property
+    def over(self) -> str:
+        """What envelopes are over, in their captions."""
+        apart = any(case.stage for case in self.cases) and not all(x.stage for x in self.cases)
+        return ", over all combinations without stages of erection" if apart else ""
 
     def names(self, kind: str) -> list[str]:
         """Names of the cables, bars ... of all cases; `kind` is a summary's attribute."""
@@ -124,8 +136,8 @@ class ResultTables:
             for case in self.cases for one in [case.summary]
         ]  # fmt: skip
         columns = self.units.headings(
-            "Combination|Deflection from the base state{length}|Deflection from the stress-free "
-            "shape{length}|Lowest in z{length}|Highest in z{length}|Slack area [%]|"
+            "Combination|Deflection from the base state{length}|Displacement from the stress-free "
+            "shape{length}|Vertically, least{length}|Vertically, largest{length}|Slack area [%]|"
             "Wrinkled area [%]"
         )
         return Table("Largest deflections, and state of the membrane", columns, rows, "overview")
@@ -146,13 +158,14 @@ class ResultTables:
                           if name in found else None for name in names))
             for case in self.cases for found in [case.summary.membrane.largest]
         ]  # fmt: skip
-        return Table("Largest section forces by combination", ["Combination", *labels], rows)
+        caption = "Largest section forces by combination"
+        return Table(caption, ["Combination", *labels], rows, even=True)
 
     def patches(self) -> Table:
         """Reinforced corners, and what plain fabric would bear there, over all cases."""
         rows: list[Row] = []
         for name, found in self.by_name("patches"):
-            governs, most = max(found, key=lambda one: one[1].utilisation)
+            governs, most = governing_of(found, lambda one: one[1].utilisation)
             patch = most.patch
             radius = "given" if patch.given else "a twentieth of the distance to the next"
             rows.append((
@@ -180,32 +193,37 @@ class ResultTables:
 
     def envelope(self) -> Table:
         """Minima and maxima over all cases, with the governing case."""
-        rows: list[Row] = []
-        every = {(part, name): label for case in self.cases
+        rows, cases = list[Row](), self.combined.cases
+        every = {(part, name): label for case in cases
                  for part, name, label, _, _ in self._extremes(case)}  # fmt: skip
         for (part, name), label in every.items():
             parts = [
                 (case.name, case.summary.parts[part])
-                for case in self.cases if name in case.summary.parts[part].least
+                for case in cases if name in case.summary.parts[part].least
             ]  # fmt: skip
-            least, low = min(((n, one.least[name]) for n, one in parts), key=_value)
-            largest, high = max(((n, one.largest[name]) for n, one in parts), key=_value)
+            least, low = governing_of(
+                [(n, one.least[name]) for n, one in parts], lambda one: -one[1].value
+            )
+            largest, high = governing_of(
+                [(n, one.largest[name]) for n, one in parts], lambda one: one[1].value
+            )
             at, scale = place(high.at, self.size), QUANTITIES[name].scale
             small, most = clean([scale * low.value, scale * high.value], scale * high.value, FINE)
-            governs = next(case for case in self.cases if case.name == largest)
+            governs = next(case for case in cases if case.name == largest)
             smooth, change = governs.recovered[part].get(name), governs.summary.parts[part].change
             nodal, peak = None if smooth is None else scale * smooth, ""
             if nodal is None and change is not None:
                 peak = f"may change by {per_cent(change)}"
             elif nodal is not None and most > 1.25 * max(nodal, 0.0):
                 peak = "single-cell peak"
-            least, largest = (least, largest) if len(self.cases) > 1 else ("", "")
-            rows.append((part_name(part), label, small, least, most, largest, at, nodal, peak))
+            least, largest = (least, largest) if len(cases) > 1 else ("", "")
+            lower = (None, "") if name == "utilisation" else (small, least)  # says nothing
+            rows.append((part_name(part), label, *lower, most, largest, at, nodal, peak))
         columns = self.units.headings(
             "Part|Result|Least|Governs least|Largest|Governs largest|at x; y; z{length}"
             "|Largest, smoothed|Remark"
         )
-        caption = "Envelope of the membrane"
+        caption = f"Envelope of the membrane{self.over}"
         table = Table(caption, columns, rows, "envelope", headings=2, small=True)
         return _without_one_part(table)
 
@@ -230,18 +248,17 @@ class ResultTables:
     def cable_envelope(self) -> Table:
         """Smallest and largest tension of each cable over all cases."""
         rows: list[Row] = []
-        for name, found in self.by_name("cables"):
-            least, low = min(found, key=lambda one: one[1].least)
-            largest, high = max(found, key=lambda one: one[1].largest)
-            shares = [(one.utilisation, case) for case, one in found if one.utilisation is not None]
-            share, governs = max(shares, default=(None, None))
-            used = None if share is None else per_cent(share)
+        for name, found in self.combined.by_name("cables"):
+            least, low = governing_of(found, lambda one: -one[1].least)
+            largest, high = governing_of(found, lambda one: one[1].largest)
+            used, governs = _most_used(found)
             rows.append((name, low.least, least, high.largest, largest, used, governs))
         columns = self.units.headings(
             "Cable|Least tension{force}|Governs least|Largest tension{force}|Governs largest"
             "|Utilisation|Governs utilisation"
         )
-        return Table("Envelope of the cables' tensions", columns, rows, "cable_envelope")
+        caption = f"Envelope of the cables' tensions{self.over}"
+        return Table(caption, columns, rows, "cable_envelope", even=True)
 
     def tensions(self) -> list[Table]:
         """Largest tension of each cable in each case."""
@@ -263,7 +280,7 @@ class ResultTables:
             Table(
                 caption.format_map(self.units), ["Combination", *part],
                 [(case.name, *(found[name].get(case.name) for name in part))
-                 for case in self.cases], small=len(part) > 8,
+                 for case in self.cases], small=len(part) > 8, even=True,
             )
             for part in in_parts(list(found), WIDE)
         ]  # fmt: skip
@@ -272,7 +289,7 @@ class ResultTables:
         """Lengths of the cables in the first case, and their contact with the membrane."""
         case, rows = self.cases[0], list[Row]()
         for name, found in self.by_name("cables"):
-            governs, most = max(found, key=lambda one: one[1].contact_largest)
+            governs, most = governing_of(found, lambda one: one[1].contact_largest)
             one = case.summary.cables.get(name)
             lengths = (None,) * 3 if one is None else map(
                 self.units.exact, (one.length, one.L0, one.free)
@@ -313,18 +330,16 @@ class ResultTables:
     def bar_envelope(self, *, every: bool = True) -> Table:
         """Smallest and largest force of each bar, or family of bars, over all cases."""
         rows: list[Row] = []
-        for label, found in self._bars(every):
-            least, low = min(found, key=lambda one: one[1].force)
-            largest, high = max(found, key=lambda one: one[1].force)
-            most = max(((n, x.utilisation) for n, x in found if x.utilisation is not None),
-                       key=lambda one: one[1] or 0.0, default=None)  # fmt: skip
-            used = (None, None) if most is None else (per_cent(most[1] or 0.0), most[0])
-            rows.append((label, low.force, least, high.force, largest, *used))
+        for label, found in self.combined._bars(every):
+            least, low = governing_of(found, lambda one: -one[1].force)
+            largest, high = governing_of(found, lambda one: one[1].force)
+            rows.append((label, low.force, least, high.force, largest, *_most_used(found)))
         columns = self.units.headings(
             "Bar|Least force{force}|Governs least|Largest force{force}|Governs largest"
             "|Utilisation|Governs utilisation"
         )
-        return Table("Envelope of the bars' forces", columns, rows, "bar_envelope")
+        caption = f"Envelope of the bars' forces{self.over}"
+        return Table(caption, columns, rows, "bar_envelope", even=True)
 
     def hollows(self) -> Table:
         """Ponding: the deepest hollow of each case."""
@@ -411,8 +426,13 @@ def clean(force: Sequence[float], scale: float, part: float = NOISE) -> list[flo
     return [x if abs(x) > part * scale else 0.0 for x in force]
 
 
-def _value(one: tuple[str, Extreme]) -> float:
-    return one[1].value
+def _most_used(found: Sequence[tuple[str, Any]]) -> tuple[str | None, str | None]:
+    """The largest utilisation of a cable or bar, and its case; None without any."""
+    judged = [(case, one.utilisation) for case, one in found if one.utilisation is not None]
+    if not judged:
+        return None, None
+    case, used = governing_of(judged, lambda one: one[1])
+    return per_cent(used), case
 
 
 def with_size(force: Sequence[float], part: float = NOISE) -> list[float]:

@@ -6,10 +6,11 @@ from collections.abc import Sequence
 
 from crms_fenicsx.analysis.verification.report import Check
 from crms_fenicsx.model.versions import UNBALANCED
+from crms_fenicsx.results.design_checks import governing_of
 from crms_fenicsx.results.output.report.case import Case
 from crms_fenicsx.results.output.report.page import Table, per_cent
 from crms_fenicsx.results.output.report.results_tables import Row
-from crms_fenicsx.results.output.report.verdict import listed
+from crms_fenicsx.results.output.report.verdict import listed, states_of
 
 MEANINGS = {
     "Forces balance at every free point, cable and joint": (
@@ -75,7 +76,7 @@ def verdicts(cases: Sequence[Case]) -> Table:
         key = len(found.checks), verdict + ", ".join(names)
         shared.setdefault(key, []).append(case.name)
     rows: list[Row] = [
-        (f"all {len(names)} combinations" if len(names) == len(cases) > 1
+        (states_of(cases) if len(names) == len(cases) > 1
          else listed(names), *key)
         for key, names in shared.items()
     ]  # fmt: skip
@@ -92,7 +93,8 @@ def nearest_to_limits(cases: Sequence[Case]) -> Table:
             found.setdefault(words, []).append((case, check))
     rows: list[Row] = []
     for words in sorted(found, key=lambda words: [*MEANINGS, words].index(words)):
-        case, check = max(found[words], key=lambda one: (not one[1].passed, _share(one[1])))
+        failed = [one for one in found[words] if not one[1].passed]
+        case, check = governing_of(failed or found[words], lambda one: _share(one[1]))
         verdict = "met" if check.passed else "failed" if check.binding else "doubtful"
         rows.append((words, verdict, per_cent(_share(check)), case.name, check.where or None))
     columns = ("Requirement", "Result", "Largest share of its tolerance", "Combination", "Member")
