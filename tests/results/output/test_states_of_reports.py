@@ -313,3 +313,18 @@ def test_more_prestress_alone_is_not_the_base_state(comm: MPI.Intracomm, folder:
     found = solver.combine(changed | {"as it is": {}})
     (_, *rows) = page_of(solver, folder / "own.html", found).tables[table]
     assert [row[:2] for row in rows] == [["LC0", "as it is"], ["LC1", "tight"], ["LC2", "torn"]]
+
+
+@pytest.mark.ranks
+def test_slack_cables_are_named(comm: MPI.Intracomm, folder: Path) -> None:
+    """In the tables of tensions, in place of a number, and beside their envelope."""
+    solver = roof(comm)
+    (ridge,) = solver.scene.cables
+    found = solver.combine({"Snow": {"snow": 0.3}})
+    with solver.stage("loosened"):
+        solver.advance(L0={ridge: 1.3 * ridge.L0})
+    page = page_of(solver, folder / "slack.html", found | solver.stages)
+    assert page.tables["Envelope of the cables' tensions"][0][-1] == "Slack in"
+    assert page.tables["Envelope of the cables' tensions"][1][-1] == "loosened"
+    tensions = {row[0]: row[1] for row in page.tables["Largest tensions of the cables"][1:]}
+    assert tensions["loosened"] == "slack" and float(tensions["Snow"]) > 1.0

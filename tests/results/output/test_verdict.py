@@ -14,10 +14,9 @@ from crms_fenicsx import Bar, Cable, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.analysis.verification.report import Check
 from crms_fenicsx.model.versions import StateWarning
 from crms_fenicsx.results.design_checks import DesignCheck, Extreme
-from crms_fenicsx.results.output.report.case import Case, case_of, shape_of
+from crms_fenicsx.results.output.report.case import Case, case_of, in_order, shape_of, with_codes
 from crms_fenicsx.results.output.report.page import Table, Units, Verdict
 from crms_fenicsx.results.output.report.results_tables import ResultTables
-from crms_fenicsx.results.output.report.sections import in_order, with_codes
 from crms_fenicsx.results.output.report.verdict import governing, verdict_on
 from crms_fenicsx.results.output.report.verdict import judged as judged_in
 from crms_fenicsx.results.summary import Summary

@@ -23,7 +23,17 @@ from crms_fenicsx.model.versions import UNBALANCED
 from crms_fenicsx.results.cable_order import Order
 from crms_fenicsx.results.output.figures.axes3d import check_view
 from crms_fenicsx.results.output.figures.draw_scene import COLOURS
-from crms_fenicsx.results.output.report.case import BASE, Case, Shape, case_of, shape_of
+from crms_fenicsx.results.output.report.case import (
+    BASE,
+    Case,
+    Shape,
+    case_of,
+    in_order,
+    shape_of,
+    with_codes,
+)
+from crms_fenicsx.results.output.report.combination_tables import tables_of
+from crms_fenicsx.results.output.report.design_tables import load_factors
 from crms_fenicsx.results.output.report.model_tables import Model, merged, model_of_scene
 from crms_fenicsx.results.output.report.page import (
     MACROS,
@@ -43,8 +53,7 @@ from crms_fenicsx.results.output.report.pictures import (
     with_pictures,
     with_view,
 )
-from crms_fenicsx.results.output.report.results_tables import ResultTables
-from crms_fenicsx.results.output.report.sections import Plan, Report, in_order, with_codes
+from crms_fenicsx.results.output.report.sections import Plan, Report
 from crms_fenicsx.results.quantities import QUANTITY_OF, Solved, names_of
 
 NOW = "Current state"
@@ -236,7 +245,7 @@ def model_of(solver: Solved, plan: Plan, states: Mapping[str, Combination]) -> M
             one = states[own[0]]
             solver.restore(one.snapshot if one.stage else one.base)
             models[", ".join(own)] = model_of_scene(solver.scene, plan.units)
-        model = merged(models, stages)
+        model = replace(merged(models, stages), combined=tables_of(states))
         solver.restore(shown)
         return _pictured(solver, plan, model, caption)
 
@@ -260,8 +269,7 @@ def write_files(solver: Solved, plan: Plan, model: Model, cases: Sequence[Case])
     """Write the page and its tables, replacing old files once all are complete. Collective."""
     with raised_together(solver.comm):
         if solver.comm.rank == 0:
-            results = ResultTables(cases, plan.units, model.size)
-            factors = results.factors(model.pressure, model.factors)
+            factors = load_factors(cases, plan.units, model.pressure, model.factors)
             cases = in_order(cases, factors)
             report = Report(plan, model, cases, factors)
             path, tables = plan.path, report.tables()

@@ -10,7 +10,7 @@ from typing import Any
 from crms_fenicsx.model.strengths import ALL
 from crms_fenicsx.results.cable_and_bar_results import BarResults
 from crms_fenicsx.results.design_checks import Extreme, governing_of
-from crms_fenicsx.results.output.report.case import BASE, Case
+from crms_fenicsx.results.output.report.case import Case
 from crms_fenicsx.results.output.report.page import (
     WHOLE,
     Cell,
@@ -21,6 +21,7 @@ from crms_fenicsx.results.output.report.page import (
     per_cent,
     place,
 )
+from crms_fenicsx.results.output.report.verdict import listed
 from crms_fenicsx.results.quantities import QUANTITIES, SUMMED_UP
 from crms_fenicsx.results.summary import ALL_SUPPORTS
 
@@ -80,49 +81,6 @@ class ResultTables:
                 low, high = (replace(x[name], value=scale * x[name].value)
                              for x in (found.least, found.largest))  # fmt: skip
                 yield part, name, label, low, high
-
-    def factors(self, pressure: float, factors: Mapping[str, float]) -> Table:
-        """Pressure and load factors of the cases and the base state."""
-        acting = [(case.name, case.summary.pressure, case.summary.factors) for case in self.cases]
-        every = [one for one, case in zip(acting, self.cases, strict=True) if not case.stage]
-        divided = {
-            case.name: max(one.divisor for one in case.summary.design.values())
-            for case in self.cases
-            if case.summary.design
-        }
-        reduced = any(x != 1.0 for x in divided.values())
-        of = {case.name: case for case in self.cases}
-        unchanged = pressure, factors, 1.0, ()
-        base = [one for one in every if of[one[0]].acting == unchanged]
-        if every and not base:
-            base = [("base state", pressure, factors)]
-        every = base + [one for one in every if one not in base]
-        first = 1 if len(every) == 1 and base[0][0] != "base state" else 0
-        codes = [f"LC{k}" for k in range(first, len(every) + first)]
-        codes += [f"S{case.stage}" for case in self.cases if case.stage]
-        every += [one for one, case in zip(acting, self.cases, strict=True) if case.stage]
-        loads = list(dict.fromkeys(load for _, _, known in every for load in known))
-        pressed = any(p for _, p, _ in every)
-        tight = any(case.prestress != 1.0 for case in self.cases)
-        rows: list[Row] = [
-            (
-                code,
-                "base state" if name == BASE else name,
-                (of[name].state or None) if name in of else None,
-                of[name].prestress if name in of and tight else None,
-                (", ".join(of[name].without) or None) if name in of else None,
-                p if pressed else None,
-                *(known.get(load) or None for load in loads),
-                divided.get(name) if reduced else None,
-            )
-            for code, (name, p, known) in zip(codes, every, strict=True)
-        ]
-        columns = self.units.headings(
-            "Case|Combination|Limit state|Prestress|Without|Inner pressure{pressure}"
-        )
-        columns += [*loads, "Strengths divided by"]
-        caption = f"{'Inner pressure and factors' if pressed else 'Factors'} of the loads"
-        return Table(caption, columns, rows, "combinations", small=len(loads) > 4)
 
     def overview(self) -> Table:
         """Deformation and state of the membrane."""
@@ -246,35 +204,37 @@ class ResultTables:
         return Table("Cables", columns, rows, "cables", headings=2)
 
     def cable_envelope(self) -> Table:
-        """Smallest and largest tension of each cable over all cases."""
+        """Smallest and largest tension of each cable over all cases, and where it is slack."""
         rows: list[Row] = []
         for name, found in self.combined.by_name("cables"):
             least, low = governing_of(found, lambda one: -one[1].least)
             largest, high = governing_of(found, lambda one: one[1].largest)
-            used, governs = _most_used(found)
-            rows.append((name, low.least, least, high.largest, largest, used, governs))
+            loose = [case for case, one in found if one.slack]
+            slack = "all" if len(loose) == len(found) > 1 else listed(loose) or None
+            used = _most_used(found)
+            rows.append((name, low.least, least, high.largest, largest, *used, slack))
         columns = self.units.headings(
             "Cable|Least tension{force}|Governs least|Largest tension{force}|Governs largest"
-            "|Utilisation|Governs utilisation"
+            "|Utilisation|Governs utilisation|Slack in"
         )
         caption = f"Envelope of the cables' tensions{self.over}"
         return Table(caption, columns, rows, "cable_envelope", even=True)
 
     def tensions(self) -> list[Table]:
-        """Largest tension of each cable in each case."""
-        found = {name: {case: one.largest for case, one in known}
+        """Largest tension of each cable in each case, or that it is slack."""
+        found = {name: {case: "slack" if one.slack else one.largest for case, one in known}
                  for name, known in self.by_name("cables")}  # fmt: skip
         return self._matrix("Largest tensions of the cables{force}", found)
 
     def bar_forces(self) -> list[Table]:
         """Force of each bar, or the largest of each family, in each case."""
-        found = dict[str, dict[str, float]]()
+        found = dict[str, dict[str, Cell]]()
         for label, known in self._bars(every=False):
             for case, one in sorted(known, key=lambda pair: abs(pair[1].force)):
-                found.setdefault(label, {})[case] = one.force
+                found.setdefault(label, {})[case] = "slack" if one.slack else one.force
         return self._matrix("Forces of the bars, compression negative{force}", found)
 
-    def _matrix(self, caption: str, found: Mapping[str, Mapping[str, float]]) -> list[Table]:
+    def _matrix(self, caption: str, found: Mapping[str, Mapping[str, Cell]]) -> list[Table]:
         """Values by item and case, with a row for each case and up to `WIDE` items a table."""
         return [
             Table(

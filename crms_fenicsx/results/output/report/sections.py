@@ -13,6 +13,7 @@ from crms_fenicsx.model.strengths import LIMIT_STATES
 from crms_fenicsx.results.cable_order import Order
 from crms_fenicsx.results.design_checks import governing_of
 from crms_fenicsx.results.output.report.case import BASE, Case
+from crms_fenicsx.results.output.report.combination_tables import combination_sections
 from crms_fenicsx.results.output.report.design_tables import alike, fabric_values
 from crms_fenicsx.results.output.report.erection import by_stage, erection
 from crms_fenicsx.results.output.report.foundation_tables import (
@@ -51,6 +52,7 @@ from crms_fenicsx.results.output.report.verdict import (
     with_unit,
 )
 from crms_fenicsx.results.output.report.verification_tables import (
+    CHECKED,
     nearest_to_limits,
     verdicts,
     verification,
@@ -108,37 +110,6 @@ NOTES = (
 """Notes on reading the results."""
 
 STRAIN = "The limit of the strain, {}, is the report's, not a code's."
-
-CHECKED = (
-    "Each state of equilibrium was checked without use of the solver: the forces on every part of "
-    "the structure balance; reactions of the supports equal the loads, in forces and moments; each "
-    "cable has the tension that follows from its length, and lies on the membrane where it is in "
-    "contact; the deformation energy agrees with the work of the forces. A doubtful check means "
-    "that the mesh is coarse there, or that forces of one part are too small beside the others to "
-    "be accurate, not that the state is not in equilibrium."
-)
-
-
-def in_order(cases: Sequence[Case], factors: Table) -> list[Case]:
-    """The cases in the order of their codes LC0, LC1 ..., so that all tables name the same one
-    first."""
-    order = [name for row in factors.rows for name in map(str, row[:2])]
-    return sorted(cases, key=lambda case: order.index(case.name))
-
-
-def with_codes(cases: Sequence[Case], factors: Table) -> list[Case]:
-    """The cases; if a name is long, renamed to their codes LC0, LC1 ..."""
-    codes = {str(row[1]): str(row[0]) for row in factors.rows}
-    codes |= {code: code for code in codes.values()}
-    if max(len(case.name) for case in cases) < 28:
-        return list(cases)
-    return [
-        replace(case, name=codes[case.name], pictures=tuple(
-            replace(one, caption=one.caption.replace(case.name, codes[case.name], 1))
-            for one in case.pictures
-        ))
-        for case in cases
-    ]  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -294,11 +265,9 @@ class Report:
     def _basis(self) -> list[PageSection]:
         """What the user and the loads say of codes, sites and factors."""
         rows = [*self.plan.basis.items(), *self.model.basis.items()]
-        if not rows:
-            return []
-        return [
-            PageSection("Basis of design", [Table("Codes, site and loads", ("Item", "Data"), rows)])
-        ]
+        below = combination_sections(self.model.combined)
+        given = [Table("Codes, site and loads", ("Item", "Data"), rows)] if rows else []
+        return [PageSection("Basis of design", given), *below] if rows or below else []
 
     def tables(self) -> list[Table]:
         """The tables for CSV files."""
@@ -322,7 +291,8 @@ class Report:
         more += [self.held.places(), self.held.forces(), self.held.envelope(), self.held.rim()]
         if self.plan.order is not None:
             more.append(cables_to_order(self.plan.order, of.units))
-        more += [part for one in self.plan.sections for part in one.body if isinstance(part, Table)]
+        own = [*combination_sections(self.model.combined), *self.plan.sections]
+        more += [part for one in own for part in one.body if isinstance(part, Table) and part.name]
         return found + [table for table in more if table.rows]
 
     def _tensions(self) -> BarChart:
@@ -344,7 +314,8 @@ class Report:
             tables["mesh"] = replace(tables["mesh"], rows=kept)
         below = [tables[x] for x in ("supports", "cables", "bars", "joints") if x in tables]
         design = [fabric_values(self.cases, self.plan.units)]
-        design += [alike(tables[x]) for x in ("cable values", "bar values") if x in tables]
+        design += [alike(tables[x]) for x in ("cable make", "cable values", "bar values")
+                   if x in tables]  # fmt: skip
         design += [tables[x] for x in ["limits"] if x in tables]
         design = [one for one in design if one.rows]
         return [

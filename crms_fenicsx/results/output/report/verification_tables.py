@@ -47,6 +47,17 @@ MEANINGS = {
 """What checks mean, with their names."""
 
 
+CHECKED = (
+    "Each state of equilibrium was checked without use of the solver: the forces on every part of "
+    "the structure balance; reactions of the supports equal the loads, in forces and moments; each "
+    "cable has the tension that follows from its length, and lies on the membrane where it is in "
+    "contact; the deformation energy agrees with the work of the forces. A doubtful check means "
+    "that the mesh is coarse there, or that forces of one part are too small beside the others to "
+    "be accurate, not that the state is not in equilibrium."
+)
+"""What the checks are, and what a doubtful one means."""
+
+
 def verification(cases: Sequence[Case]) -> Table:
     """Checks of all cases."""
     rows: list[Row] = []
