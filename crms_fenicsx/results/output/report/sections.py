@@ -367,7 +367,7 @@ class Report:
         links = [Link(f"{case.name}, interactive view", file)
                  for case, file in zip(self.cases, self._files, strict=True)
                  if case.view]  # fmt: skip
-        if figures or links:
+        if figures or links or self.left_out:
             told = [Paragraph(same.strip())] if same else []
             body: list[PagePart] = [*told, *links, Figures(figures)]
             found.append(PageSection("Pictures", body, 3))
