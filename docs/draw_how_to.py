@@ -268,7 +268,8 @@ DRAWN: dict[str, dict[str, tuple[int, Draw]]] = {
             1,
             beside(
                 state(
-                    **HALF | {"colour": "height", "title": "under the heap", "view": (-60.0, 12.0)}
+                    **HALF | {"colour": "height", "title": "under the heap", "view": (-60.0, 12.0)},
+                    tensions=False,  # slack but for the tolerance
                 ),
                 with_water,
             ),
@@ -297,7 +298,7 @@ DRAWN: dict[str, dict[str, tuple[int, Draw]]] = {
             2,
             closeup((0.0, 12.0, 0.0, 8.0), laid="as laid", slid="after the load step"),
         ),
-        "lines_dome": (3, closeup((0.0, 12.4, -12.4, 0.0), roof="lines of the mesh")),
+        "lines_dome": (4, closeup((0.0, 12.4, -12.4, 0.0), roof="lines of the mesh")),
     },
     "patterns": {
         "roll": (3, roll),
