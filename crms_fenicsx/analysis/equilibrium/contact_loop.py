@@ -52,7 +52,6 @@ class ContactLoop:
         changes = active.tighten()  # contacts need a solved state
         if self.sliding is not None and not changes and self.sliding.straighten():
             changes = ["paths pulled taut"]
-        system.hold_rows(flat=h0_prestress[0] > 0.0)
         total: Outcome | None = None
         looked, ended, way = False, False, 0.0
 
@@ -145,13 +144,15 @@ class ContactLoop:
 
     def _changes(self) -> list[str]:
         """Apply the changes that the solved state demands and return them in words."""
-        held, self.system.holds_rows = self.system.holds_rows, False
         shape = self.scene.net.strip_shape()
         changes = self.active.update(shape)
         if self.sliding is not None and not changes and self._projections < BUDGET.changes:
             changes = self.sliding.renew_projections(shape)
             self._projections += len(changes)
-        return [*changes, "rows slide"] if held else changes
+        if changes or not self.system.holds_rows:
+            return changes
+        self.system.holds_rows = False
+        return ["rows slide"] if any(c.taut and c.takes_line for c in self.scene.cables) else []
 
 
 def _restore_positions(scene: Scene, state: SceneState) -> None:

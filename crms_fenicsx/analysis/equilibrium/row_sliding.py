@@ -32,44 +32,32 @@ from crms_fenicsx.model.tolerances import BUDGET
 logger = logging.getLogger("crms_fenicsx")
 
 SLOW, MOTIONS = 0.7, 5
-"""Ratio of a vertex's shift to the one before, after solves with the same contacts, above which it
-is slow (1 in wind), and number of slow ones in a load step after which the vertex stays. Below
-nearly slack cables it would wander for ever: the mesh's errors are stiffer than the cable there."""
+"""Ratio of the largest shift to the one before, after solves with the same contacts, above which it
+is slow (1 in wind), and number of slow ones in a load step after which all rows stay."""
 
 
 @dataclass
 class Motions:
     """Shifts of rows in the solves of a load step, and what follows from them.
 
-    Attributes: `resting` (m,): ids of vertices that stay for the rest of the load step.
+    Attributes: `rest`: whether all rows stay for the rest of the load step.
     """
 
-    resting: Integers = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
-    _ids: Integers = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
-    """Ids of the vertices of the last solve, the numbers of their slow shifts, and their last
-    shifts, relative to the cell size."""
-    _slow: Integers = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
-    _last: Array = field(default_factory=lambda: np.zeros(0))
+    rest: bool = False
+    _slow: int = 0
+    _last: float = np.inf
     _ways: list[Array] = field(default_factory=list)
     """Shifts of the last solves on the same contacts, and those made then."""
     _steps: list[Array] = field(default_factory=list)
 
-    def let_rest(self, rows: RowShifts, shifts: Array, solved: bool, windy: bool) -> None:
-        """Let vertices stay whose shifts (m,), relative to the cell size, are slow."""
-        if not np.array_equal(rows.vertices, self._ids):
-            slow = np.zeros(len(shifts), dtype=np.int64)
-            _, new, old = np.intersect1d(rows.vertices, self._ids, return_indices=True)
-            slow[new] = self._slow[old]
-            self._ids, self._slow, self._ways, self._steps = rows.vertices, slow, [], []
-        elif solved:
-            # as the wind turns, so do the places at which rows come to rest
-            ratio = 1.0 if windy else SLOW
-            self._slow += shifts > np.maximum(ratio * self._last, SETTLED)
-        self._last = shifts
-        rest = np.setdiff1d(self._ids[self._slow >= MOTIONS], self.resting)
-        if len(rest):
-            self.resting = np.union1d(self.resting, rest)
-            logger.debug("%d vertices of rows stay", len(self.resting))
+    def let_rest(self, way: float, solved: bool, windy: bool) -> None:
+        """Let rows stay if the largest shift, relative to the cell size, is slow, and in wind once
+        it is at the solver's tolerance: they would move the wind, and this them, to and fro."""
+        # as the wind turns, so do the places at which rows come to rest
+        ratio = 1.0 if windy else SLOW
+        self._slow += solved and way > max(ratio * self._last, SETTLED)
+        self._last = way if solved else np.inf
+        self.rest = self._slow >= MOTIONS or (windy and way <= SETTLED)
 
     def further(self, rows: RowShifts, ways: Array, solved: bool) -> Array:
         """Shifts (m, 3) to make beyond those of a solve (m, 3), so that rows come to rest as their
@@ -113,7 +101,7 @@ class RowSliding:
 
     def begin(self) -> None:
         """Begin a load step."""
-        self.motions = Motions()
+        self.motions, self.collapse = Motions(), ""
 
     def follow(
         self, shifts: ShiftContribution, potential: Potential, begins: bool, solved: bool
@@ -136,7 +124,7 @@ class RowSliding:
         if way == 0.0:
             return 0.0
         windy = self.scene.loads.has_wind
-        self.motions.let_rest(rows, norm(ways) / rows.sizes, solved, windy)
+        self.motions.let_rest(way, solved, windy)
         if way > NEAR:
             motion = self._renewed(rows.vertices)
             further = self.motions.further(rows, ways, solved and not windy)

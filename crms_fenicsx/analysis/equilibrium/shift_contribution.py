@@ -14,7 +14,7 @@ from crms_fenicsx.energy.minimization.potential import Potential
 from crms_fenicsx.energy.terms.residual_stress import ResidualStress
 from crms_fenicsx.energy.terms.shifted_membrane import ShiftedCells, ShiftedMembraneEnergy
 from crms_fenicsx.foundation.dofs.layout import Unknowns
-from crms_fenicsx.foundation.runtime.arrays import Array, Integers
+from crms_fenicsx.foundation.runtime.arrays import Array
 
 
 class ShiftContribution(Contribution):
@@ -29,11 +29,12 @@ class ShiftContribution(Contribution):
         scene: Scene,
         membrane: MembraneContribution,
         numbering: CableNumbering,
-        resting: Integers,
+        held: bool,
     ) -> None:
         super().__init__(scene)
         self.numbering, self._membrane = numbering, membrane.energy
-        numbering.shifts = numbering.shifts.but(resting)
+        if held:
+            numbering.shifts = numbering.shifts.still()
         strip, rank = numbering.strip, scene.comm.rank
         simplices = strip.simplices
         at = np.full(len(simplices.vertices), -1)
@@ -53,16 +54,17 @@ class ShiftContribution(Contribution):
             term.elsewhere = cells
         self._read_residual()
 
-    def renew(self, unknowns: Unknowns, resting: Integers) -> None:
-        """Start from the membrane's present stress-free places; the vertices `resting` (m,) stay
-        there. Collective."""
+    def renew(self, unknowns: Unknowns, held: bool) -> None:
+        """Start from the membrane's present stress-free places, `held` there or not. Collective."""
         scene, numbering = self.scene, self.numbering
         shape = scene.net.strip_shape()
         numbering.renew_places(unknowns, shape)
         now = RowShifts.of(
             scene.cables, numbering.nodes, shape, scene.membrane, kept_vertices(scene)
         )
-        numbering.shifts = numbering.shifts.renewed(now).but(resting)
+        numbering.shifts = numbering.shifts.renewed(now)
+        if held:
+            numbering.shifts = numbering.shifts.still()
         self.energy.renew(self._membrane)
         for term in self._residual():
             term.follow(scene.membrane)
@@ -86,10 +88,11 @@ class ShiftContribution(Contribution):
         assert potential.damping is not None
         potential.damping.springs.sizes[:] = self.numbering.shifts.sizes[self.numbering.own_shifts]
         table = self.energy.table
-        table.weights[:] = 0.0
+        table.loads[:] = 0.0
         for load in self.scene.loads:
-            if load.weighs and load.material is not None:
-                table.weights[:] += load.factor * load.material[table.cells]
+            if load.material is not None:
+                thirds = table.areas[:, None] / 3 * load.material[table.cells]
+                table.loads[:] += load.factor * thirds
 
     def shifts(self, potential: Potential) -> Array:
         """Shifts (m, 3) of the stress-free places on all ranks (length). Collective."""

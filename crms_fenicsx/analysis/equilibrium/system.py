@@ -168,7 +168,7 @@ class System:
         if len(cables.numbering.shifts.nodes):
             from crms_fenicsx.analysis.equilibrium.shift_contribution import ShiftContribution
 
-            self.shifts = ShiftContribution(scene, self.membrane, cables.numbering, self._resting)
+            self.shifts = ShiftContribution(scene, self.membrane, cables.numbering, self._rows_stay)
             terms.append(self.shifts.energy)
             self.parts.append(self.shifts)
         if scene.net.has_friction or any(
@@ -202,17 +202,13 @@ class System:
         return 0.0 if self.shifts is None else self.unknowns.largest_shift(self.potential.x)
 
     def begin_rows(self) -> None:
-        """Begin a load step for rows that slide."""
-        self.holds_rows = False
+        """Begin a load step: lines are held until the structure stands under its loads and contacts
+        have settled; on the way there rows would slide far, and back."""
+        self.holds_rows = self.slide and any(cable.takes_line for cable in self.scene.cables)
+        if self.shifts is not None:
+            self.invalidate()
         if self._rows is not None:
-            if len(self._resting):
-                self.invalidate()
             self._rows.begin()
-
-    def hold_rows(self, flat: bool) -> None:
-        """Hold lines until a `flat` membrane stands: rows would slide far, and back."""
-        flat &= self.slide and self.shifts is None
-        self.holds_rows = flat and any(cable.takes_line for cable in self.scene.cables)
 
     def follow_rows(self, begins: bool, solved: bool) -> float:
         """Move the scene's stress-free mesh by the shifts of the last solve; return the largest, as
@@ -233,10 +229,18 @@ class System:
         if self._rows is not None:
             self._rows.destroy()
 
+    def release_rows(self) -> None:
+        """Let rows that stay for the rest of the load step shift again, so that checks judge them.
+        Collective."""
+        if self._rows is not None and self._rows.motions.rest:
+            self._rows.motions.rest = False
+            if self.shifts is not None:
+                self.renew_base()
+
     @property
-    def _resting(self) -> Integers:
-        """Ids of vertices of rows that stay for the rest of the load step, (m,)."""
-        return np.zeros(0, dtype=np.int64) if self._rows is None else self._rows.motions.resting
+    def _rows_stay(self) -> bool:
+        """Whether all rows stay for the rest of the load step."""
+        return self._rows is not None and self._rows.motions.rest
 
     @property
     def collapse(self) -> str:
@@ -254,8 +258,7 @@ class System:
         self.membrane.renew_places()
         if isinstance(self.pressure.term, FollowerPressure):
             self.pressure.renew_places(self.pressure.term)
-        rows = self.cables.numbering.shifts.vertices
-        self.shifts.renew(self.unknowns, rows if held else self._resting)
+        self.shifts.renew(self.unknowns, held or self._rows_stay)
         for term in self.scene.terms:
             term.attach(self.unknowns)
         self.read_scene()

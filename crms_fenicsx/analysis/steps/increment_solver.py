@@ -212,6 +212,7 @@ class IncrementSolver:
             size = f"{hanging.volume:.3g}"
             reason = f"the pond {hanging.name!r} has the volume {size}, over cells that face down"
             outcome = replace(outcome, converged=False, reason=reason)
+        self.system.release_rows()
         if self._verifier is not None and outcome.converged:
             scatter: tuple[Check, ...] = ()
             if at_once is not None and may_have_others(self.system):

@@ -54,15 +54,12 @@ def row_checks(
     bounds = np.zeros(len(vertices))
     if system.shifts is not None:
         forces = _forces_on_cells(system.shifts, loads, shape)
-    # those put to rest for the load step do not
-    moves = np.asarray(numbering.shifts.projectors.any(axis=(1, 2)))
     at, grip = dict[int, tuple[Integers, Integers]](), dict[int, Array]()
     for c, cable in rows.items():
         own = slice(*nodes.starts[c : c + 2])
         on = np.flatnonzero((nodes.kind[own] == VERTEX) & ~nodes.lifted[own])
         place = np.searchsorted(vertices, nodes.support[own][on, 0])
         shifts = np.append(vertices, -1)[place] == nodes.support[own][on, 0]
-        shifts[shifts] = moves[place[shifts]]
         at[c] = on[shifts], place[shifts]
         pull = pulls[c] + beside.get(cable, 0.0)
         np.subtract.at(forces, at[c][1], pull[at[c][0]] * numbering.shifts.held[at[c][1], None])
@@ -144,7 +141,7 @@ def _forces_on_cells(contribution: ShiftContribution, loads: Array, shape: Strip
     at[np.searchsorted(simplices.vertices, shifts.vertices)] = np.arange(len(shifts.vertices))
     mine = (strip.owner == numbering.rank) & (at[simplices.cells] >= 0).any(axis=1)
     corners = simplices.cells[mine]
-    axes, q, law = term.table.axes, term.table.weights, term.table.parameters
+    axes, load, law = term.table.axes, term.table.loads, term.table.parameters
     X, x = shape.stress_free[corners], shape.current[corners]
     sides = np.einsum("nki,nai->nka", X[:, 1:] - X[:, :1], axes)
     inner = np.linalg.inv(sides).transpose(0, 2, 1)
@@ -158,13 +155,14 @@ def _forces_on_cells(contribution: ShiftContribution, loads: Array, shape: Strip
     phi = np.where(
         taut, np.sum(strain * (prestress + s), axis=1),
         np.sum((strain + rest) * s - rest * prestress, axis=1),
-    ) / 2 - np.sum(q * (x - X).mean(axis=1), axis=1)  # fmt: skip
+    ) / 2  # fmt: skip
     phi += np.sum(strain * term.table.residual, axis=1)
     s = s + term.table.residual
     S = s[:, [0, 2, 2, 1]].reshape(-1, 2, 2)
     on_places = np.einsum("n,nia,nab,nkb->nki", areas, F, S, n)
     inplane = (areas * phi)[:, None, None] * n - np.einsum("nia,nki->nka", F, on_places)
-    parts = np.einsum("nka,nai->nki", inplane, axes) + (areas[:, None] * q)[:, None] / 3
+    inplane += np.einsum("nia,ni->na", F, load)[:, None]
+    parts = np.einsum("nka,nai->nki", inplane, axes)
     rows, found = at[corners], np.zeros((len(shifts.vertices), 3))
     parts += np.where((rows >= 0) & shifts.held[rows], 1.0, 0.0)[:, :, None] * on_places
     np.add.at(found, rows[rows >= 0], parts[rows >= 0])

@@ -120,10 +120,9 @@ class RowShifts:
         chosen = ids[free]
         return cls(some, strip.vertices[chosen], projectors[free], held[chosen], sizes[chosen])
 
-    def but(self, resting: Integers) -> RowShifts:
-        """The same, of which those at some ids stay."""
-        stay = np.isin(self.vertices, resting)
-        return replace(self, projectors=np.where(stay[:, None, None], 0.0, self.projectors))
+    def still(self) -> RowShifts:
+        """The same vertices, all of which stay."""
+        return replace(self, projectors=np.zeros_like(self.projectors))
 
     def renewed(self, now: RowShifts) -> RowShifts:
         """The same vertices with the directions and sizes of now, where these shift now: one that

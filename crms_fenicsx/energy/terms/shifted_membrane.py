@@ -5,24 +5,24 @@ and w of its stress-free place, both from the mesh. In axes that stay those of t
 its stress-free sides are ``F0 = sides + axes . (differences of w)``, (2, 2), linear in w. With the
 current sides L, (3, 2), the image of the axes is F = L F0^-1, and the energy is
 
-    E = A psi(e) - A q . t + A' q . u',    A = det(F0) / 2,    e = (F^T F - 1) / 2.
+    E = A psi(e) + b . G v,    A = det(F0) / 2,    e = (F^T F - 1) / 2.
 
-q is a load per stress-free area that moves with the cell, over t, the mean of u - w at the corners.
-`NodalForces` hold q for the area A' in the mesh, over u', the mean of u; so only the difference is
-added here, zero at w = 0. Let n_c be the gradient of corner c's shape function in F0, S the section
-forces, P = F S, f_c = A P n_c, phi = psi - q . t. Then, without the loads' other parts,
+b is a third of the load on the cell in the mesh, which `NodalForces` hold at each corner, v the sum
+of the corners' shifts w in the axes, and G what F is at w = 0: the load stays on the fabric that
+was at the corner, which is now by about G w away. Let n_c be the gradient of corner c's shape
+function in F0, m_c that at w = 0, S the section forces, P = F S, f_c = A P n_c. Then
 
-    dE/dx_c = f_c,    dE/dX_c = A phi n_c - F^T f_c.
+    dE/dx_c = f_c + (m_c . v) b,    dE/dX_c = A psi n_c - F^T f_c + G^T b.
 
 A variation enters F as ``(dx_c - F dX_c) n_c^T`` only: a variation of X is one of x by -F dX. With
 ``K_cd = A (B_c^T C B_d + n_c . S n_d)``, the stiffness of plain cells, and s_cd = 1 for corners
 (0, 1), (1, 2), (2, 0), -1 for the reverse, 0 on the diagonal, J = ((0, 1), (-1, 0)):
 
     d2E/dx_c dx_d = K_cd
-    d2E/dx_c dX_d = -K_cd F + s_cd P J / 2
-    d2E/dX_c dX_d = F^T K_cd F + s_cd (phi - S : F^T F) J / 2
+    d2E/dx_c dX_d = -K_cd F + s_cd P J / 2 + b m_c^T
+    d2E/dX_c dX_d = F^T K_cd F + s_cd (psi - S : F^T F) J / 2
 
-Without the parts with s_cd it is positive semidefinite wherever K is.
+With b = 0 and without the parts with s_cd it is positive semidefinite wherever K is.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class ShiftedCells(ElementTable):
     # laws (n,), parameters (n, N_PARAMETERS): stress law and `MembraneMaterial.parameters`
     laws: Indices
     parameters: Array
-    weights: Array  # (n, 3) load (force per stress-free area), to be set as loads change
+    loads: Array  # (n, 3) a third of each cell's load (force), to be set as loads change
     # (n, 3) section forces beside the law's, S11, S22, S12 in the axes, to be set with the places
     residual: Array
     addresses = ("corners", "shifts")
@@ -89,6 +89,12 @@ class ShiftedCells(ElementTable):
         a, b = self.sides[:, 0], self.sides[:, 1]
         areas: Array = 0.5 * (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
         return areas
+
+    @property
+    def slopes(self) -> Array:
+        """Gradients m_c (n, 3, 2) of the corners' shape functions at w = 0 (1 / length)."""
+        inner = np.linalg.inv(self.sides).transpose(0, 2, 1)
+        return np.concatenate([-inner.sum(axis=1, keepdims=True), inner], axis=1)
 
     @property
     def rest(self) -> Array:
@@ -137,18 +143,18 @@ def _shift(x, block):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _evaluate(  # type: ignore[no-untyped-def]
-    X, x, corners, shifts, sides, axes, rest, weights, residual, own_areas, law, p, areas, slopes,
-    images, densities, out, forces, orthotropic,
+    X, x, corners, shifts, sides, axes, rest, first, loads, residual, law, p, areas, slopes,
+    images, sums, pulls, densities, out, forces, orthotropic,
 ):  # fmt: skip
-    """Energy of all cells; areas A (n,), gradients n_c `slopes`
-    (n, 3, 2), columns of F `images` (n, 2, 3), phi `densities` (n,), strain, stress and state `out`
-    (n, 7), section forces with the residual ones `forces` (n, 3). For a cell without a positive
-    stress-free area the energy is NaN, which no line search accepts, as it does infinity if it
-    compares changes with the energy."""
+    """Energy of all cells; areas A (n,), gradients n_c `slopes` (n, 3, 2), columns of F `images`
+    (n, 2, 3), v `sums` (n, 2), G^T b `pulls` (n, 2), psi `densities` (n,), strain, stress and state
+    `out` (n, 7), section forces with the residual ones `forces` (n, 3). For a cell without a
+    positive stress-free area the energy is NaN, which no line search accepts, as it does infinity
+    if it compares changes with the energy."""
     e, s, energy = np.empty(3), np.empty(3), 0.0
     for c in range(len(corners)):
         i, j, k = corners[c]
-        n, side, m, weight = slopes[c], sides[c], axes[c], weights[c]
+        n, side, m = slopes[c], sides[c], axes[c]
         # edges 1 and 2 from corner 0: in the mesh, their changes, and now; w at all corners
         A1, A2 = _minus(X[j], X[i]), _minus(X[k], X[i])
         u1, u2 = _minus(x[j], x[i]), _minus(x[k], x[i])
@@ -161,7 +167,7 @@ def _evaluate(  # type: ignore[no-untyped-def]
         if not D > 0.0:
             energy = np.nan
             areas[c] = densities[c] = 0.0
-            n[:], images[c], out[c], forces[c] = 0.0, 0.0, 0.0, 0.0
+            n[:], images[c], sums[c], pulls[c], out[c], forces[c] = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
             continue
         # changes of squared sides and product, as differences would cancel at small strains
         g1 = rest[c, 0] + _dot(_plus(a1, A1), u1)
@@ -182,10 +188,15 @@ def _evaluate(  # type: ignore[no-untyped-def]
             images[c, 1, q] = a1[q] * n11 + a2[q] * n21
         density, state = laws.stress(law[c], p[c], e, s, orthotropic)
         density += _dot(residual[c], e)
-        moved = _dot(weight, _plus(_plus(x[i], x[j]), x[k])) / 3  # q . u'
-        shifted = _dot(weight, _plus(_plus(w0, w1), w2)) / 3
-        areas[c], densities[c] = 0.5 * D, density - (moved - shifted)
-        energy += areas[c] * densities[c] + own_areas[c] * moved
+        w = _plus(_plus(w0, w1), w2)
+        v0, v1 = _dot(m[0], w), _dot(m[1], w)
+        sums[c, 0], sums[c, 1] = v0, v1
+        areas[c], densities[c] = 0.5 * D, density
+        energy += areas[c] * density
+        b1, b2 = _dot(loads[c], a1), _dot(loads[c], a2)
+        for q in range(2):
+            pulls[c, q] = b1 * first[c, 1, q] + b2 * first[c, 2, q]
+        energy += v0 * pulls[c, 0] + v1 * pulls[c, 1]
         for q in range(3):
             out[c, q], out[c, 3 + q] = e[q], s[q]
             forces[c, q] = s[q] + residual[c, q]
@@ -195,26 +206,27 @@ def _evaluate(  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _add_forces(  # type: ignore[no-untyped-def]
-    corners, shifts, axes, weights, own_areas, areas, slopes, images, densities, forces, g
+    corners, shifts, axes, first, loads, areas, slopes, images, sums, pulls, densities, forces, g
 ):
     """Add the gradient at the last `_evaluate` to g, (n_blocks, 3)."""
     P, f = np.empty((2, 3)), np.empty(3)
     for c in range(len(corners)):
-        n, F, A = slopes[c], images[c], areas[c]
+        n, F, A, load = slopes[c], images[c], areas[c], loads[c]
         for m in range(3):
             P[0, m] = A * (forces[c, 0] * F[0, m] + forces[c, 2] * F[1, m])
             P[1, m] = A * (forces[c, 2] * F[0, m] + forces[c, 1] * F[1, m])
         for k in range(3):
-            t0, t1 = A * densities[c] * n[k, 0], A * densities[c] * n[k, 1]
+            part = first[c, k, 0] * sums[c, 0] + first[c, k, 1] * sums[c, 1]
+            t0 = A * densities[c] * n[k, 0] + pulls[c, 0]
+            t1 = A * densities[c] * n[k, 1] + pulls[c, 1]
             for m in range(3):
                 f[m] = n[k, 0] * P[0, m] + n[k, 1] * P[1, m]
                 t0 -= F[0, m] * f[m]
                 t1 -= F[1, m] * f[m]
-                g[corners[c, k], m] += f[m] - (A - own_areas[c]) * weights[c, m] / 3
+                g[corners[c, k], m] += f[m] + part * load[m]
             if shifts[c, k] >= 0:
                 for m in range(3):
-                    force = axes[c, 0, m] * t0 + axes[c, 1, m] * t1 + A * weights[c, m] / 3
-                    g[shifts[c, k], m] += force
+                    g[shifts[c, k], m] += axes[c, 0, m] * t0 + axes[c, 1, m] * t1
 
 
 @numba.njit(cache=True)
@@ -246,7 +258,7 @@ def _put(out, size, i, j, U, V, h00, h01, h10, h11, level):  # type: ignore[no-u
 
 @numba.njit(cache=True)
 def _cell_stiffness(  # type: ignore[no-untyped-def]
-    shifts, axes, weights, law, p, areas, slopes, images, densities, results, forces, floor,
+    shifts, axes, first, loads, law, p, areas, slopes, images, densities, results, forces, floor,
     prestress, exact, offsets, values, orthotropic,
 ):  # fmt: skip
     """Second derivatives of each cell if `exact`, else their semidefinite part, with the
@@ -298,34 +310,23 @@ def _cell_stiffness(  # type: ignore[no-untyped-def]
                         c01 * h00 + c11 * h10 - q, c01 * h01 + c11 * h11,
                         0.0 if exact else x * p0 + y * p1,
                     )  # fmt: skip
-        if exact and np.any(weights[c]):
-            _add_weights(blocks, size, slots, weights[c], A / 3, n, axes[c])
+        if exact and np.any(loads[c]):
+            _add_load(blocks, size, slots, loads[c], first[c], axes[c])
 
 
 @numba.njit(cache=True)
-def _add_weights(blocks, size, slots, q, third, n, axes):  # type: ignore[no-untyped-def]
-    """Add ``q n_d^T`` of a cell's load q per area, but for the part in phi, to its dense blocks:
-    minus its third at corners c and shifts d, plus this and the transpose at shifts c and d."""
+def _add_load(blocks, size, slots, load, first, axes):  # type: ignore[no-untyped-def]
+    """Add the second derivatives of ``b . G v`` to a cell's dense blocks."""
     for d in range(3):
         if slots[d] == 0:
             continue
-        x, y = third * n[d, 0], third * n[d, 1]
-        for j in range(3):
-            N = x * axes[0, j] + y * axes[1, j]
-            parts = q[0] * N, q[1] * N, q[2] * N
-            for c in range(3):
-                _add_part(blocks[c * size + slots[d]], blocks[slots[d] * size + c], j, parts, -1.0)
-                if slots[c]:
-                    k, m = slots[c] * size + slots[d], slots[d] * size + slots[c]
-                    _add_part(blocks[k], blocks[m], j, parts, 1.0)
-
-
-@numba.njit(cache=True)
-def _add_part(block, mirrored, j, parts, sign):  # type: ignore[no-untyped-def]
-    """Add parts (3,) to column j of a block and to row j of its mirror image."""
-    for i, part in enumerate(parts):
-        block[i, j] += sign * part
-        mirrored[j, i] += sign * part
+        for c in range(3):
+            block, mirrored = blocks[c * size + slots[d]], blocks[slots[d] * size + c]
+            for j in range(3):
+                slope = first[c, 0] * axes[0, j] + first[c, 1] * axes[1, j]
+                for i in range(3):
+                    block[i, j] += load[i] * slope
+                    mirrored[j, i] += load[i] * slope
 
 
 class ShiftedMembraneEnergy(ElementTerm):
@@ -340,8 +341,9 @@ class ShiftedMembraneEnergy(ElementTerm):
         super().__init__(table)
         self.stiffening = stiffening
         n = len(table.cells)
-        self._own_areas, self._rest = table.areas, table.rest
+        self._rest, self._first = table.rest, table.slopes
         self._areas, self._densities = np.zeros((2, n))
+        self._sums, self._pulls = np.zeros((2, n, 2))
         self._slopes, self._images = np.zeros((n, 3, 2)), np.zeros((n, 2, 3))
         self.forces, self.results = np.zeros((n, 3)), np.zeros((n, 7))
         """Strain (E11, E22, 2 E12), section forces (S11, S22, S12) and state of each cell by its
@@ -354,16 +356,16 @@ class ShiftedMembraneEnergy(ElementTerm):
         """Start from the present stress-free places of the corners."""
         t = self.table
         table = ShiftedCells.of(membrane, t.cells, t.corners, t.shifts)
-        self.table = replace(table, weights=t.weights, residual=t.residual)
-        self._own_areas, self._rest = self.table.areas, self.table.rest
+        self.table = replace(table, loads=t.loads, residual=t.residual)
+        self._rest, self._first = self.table.rest, self.table.slopes
 
     def sums(self, x: Array, out: Array) -> None:
         """This rank's part of the energy; keeps the state for the derivatives."""
         t = self.table
         out[0] = _evaluate(
-            self.unknowns.X, x, t.corners, t.shifts, t.sides, t.axes, self._rest, t.weights,
-            t.residual, self._own_areas, t.laws, t.parameters, self._areas, self._slopes,
-            self._images, self._densities, self.results, self.forces, self._orthotropic,
+            self.unknowns.X, x, t.corners, t.shifts, t.sides, t.axes, self._rest, self._first,
+            t.loads, t.residual, t.laws, t.parameters, self._areas, self._slopes, self._images,
+            self._sums, self._pulls, self._densities, self.results, self.forces, self._orthotropic,
         )  # fmt: skip
 
     def cell_results(self) -> Array:
@@ -373,8 +375,8 @@ class ShiftedMembraneEnergy(ElementTerm):
     def add_gradient(self, x: Array, sums: Array, g: Array) -> None:
         t = self.table
         _add_forces(
-            t.corners, t.shifts, t.axes, t.weights, self._own_areas, self._areas, self._slopes,
-            self._images, self._densities, self.forces, g,
+            t.corners, t.shifts, t.axes, self._first, t.loads, self._areas, self._slopes,
+            self._images, self._sums, self._pulls, self._densities, self.forces, g,
         )  # fmt: skip
 
     def add_stiffness(self, x: Array, sums: Array, A: BlockSink) -> None:
@@ -389,7 +391,7 @@ class ShiftedMembraneEnergy(ElementTerm):
     def _add(self, A: BlockSink, floor: float, prestress: float, exact: bool) -> None:
         t = self.table
         _cell_stiffness(
-            t.shifts, t.axes, t.weights, t.laws, t.parameters, self._areas, self._slopes,
+            t.shifts, t.axes, self._first, t.loads, t.laws, t.parameters, self._areas, self._slopes,
             self._images, self._densities, self.results, self.forces, floor, prestress, exact,
             self.elements.offsets, self.elements.values, self._orthotropic,
         )  # fmt: skip

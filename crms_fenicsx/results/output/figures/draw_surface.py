@@ -194,10 +194,8 @@ def draw_shape(
     camera = Camera(*how.view, 0.5 * (low + high), 3.5 * size if near else np.inf)
 
     paint, note = colouring(values, how.label, how.limits, how.colours, how.levels)
-    bars = [
-        (scale, text) for scale, text in ((paint, how.label), (style.paint, line_label)) if scale
-    ]
-    striped = "off the membrane" if any(part.any() for part in style.off) else ""
+    bars = [(one, text) for one, text in ((paint, how.label), (style.paint, line_label)) if one]
+    striped = "off the membrane" * any(part.any() for part in style.off)
     without = how.without if values is not None and not np.isfinite(values).all() else ""
     held = np.zeros((0, 2, 3)) if how.held is None else np.asarray(how.held, dtype=np.float64)
     feet = np.zeros((0, 3)) if how.supports is None else np.asarray(how.supports, dtype=np.float64)
