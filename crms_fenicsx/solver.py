@@ -853,7 +853,8 @@ class Solver:
         Raises
         ------
         InputError
-            On all ranks: an unsupported result or parameter, a scene out of equilibrium, friction
+            On all ranks: an unsupported result or parameter, a temperature load on fabric that
+            cables fold or slide over, a scene out of equilibrium, friction
             or step-wise laws, or a singular tangent.
 
         Examples
