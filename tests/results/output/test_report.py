@@ -296,8 +296,8 @@ def test_numbers_of_a_unit_have_the_decimals_of_the_largest() -> None:
     assert "0.04696" in table.csv()
     table = Table("Tensions [kN]", ("Case", "A", "B"), [("LC0", 123.4, 0.5)], even=True)
     assert [shown(cell) for cell in table.shown.rows[0]] == ["LC0", "123.4", "0.5"]
-    chart = BarChart("Tension", [("A", 0.04696, 47.3)])
-    assert chart.drawn[0][3] == "0.05 to 47.30"
+    chart = BarChart("Tension", [("A", 0.04696, 47.3), ("B", 4.406, 4.406)])
+    assert [one[3] for one in chart.drawn] == ["0.05 to 47.30", "4.41"]
 
 
 def test_bars_are_as_long_as_their_values() -> None:

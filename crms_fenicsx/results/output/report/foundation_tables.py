@@ -159,6 +159,8 @@ class FoundationTables:
             governs, most = governing_of(own.items(), lambda one: math.hypot(*one[1]))
             up, (_, _, lift) = governing_of(own.items(), lambda one: one[1][2])
             size = math.hypot(*most)
+            if len(self.cases) == 1:  # governs everywhere
+                governs = up = ""
             rows.append((
                 *map(self.units.exact, triple(ends[k])), *clean(most, size, NOTHING),
                 size, governs, *((lift, up) if lift > NOTHING * size else (None, None)),

@@ -164,7 +164,9 @@ class BarChart:
         return [
             (
                 name, per * low, per * (high - low),
-                " to ".join(shown(even(x, self.most)) for x in (low, high)[0 if ranges else 1 :]),
+                " to ".join(dict.fromkeys(
+                    shown(even(x, self.most)) for x in (low, high)[0 if ranges else 1 :]
+                )),
                 self.limit is not None and high > self.limit,
             )
             for name, low, high in self.rows

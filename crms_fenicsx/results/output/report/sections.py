@@ -93,8 +93,7 @@ NOTES = (
     "Design strengths f_d are the given ones f_k divided by all factors of their table. Shear is "
     "not included. For bars in compression the "
     "resistance is reduced by the factor of their buckling curve (EN 1993-1-1, 6.3.1, between "
-    "hinges) or the one given; otherwise it is left out. Serviceability states are not judged by "
-    "strengths.",
+    "hinges) or the one given; otherwise it is left out.",
     "Slack and wrinkled shares are parts of the stress-free area: a wrinkled triangle is in "
     "tension in one direction only, a slack one in none.",
     "Deflections are displacements from the base state, LC0 unless another one is named, of stages "
