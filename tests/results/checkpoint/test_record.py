@@ -286,7 +286,7 @@ CALLS: dict[str, tuple[Callable[..., Scene], dict[str, Any]]] = {
     "put_cable_load": (roped, {"force": (0, 0, 2.0), "cables": "ab", "name": "ice"}),
     "put_temperature": (
         lambda **new: after(sheet(), "put_temperature", **{"change": 30.0} | new),
-        {"change": {"fabric": 20.0}, "name": "temperature winter"},
+        {"change": {"fabric": 20.0}, "name": "temperature winter", "reference": 10.0},
     ),
     "put_joint_load": (joint_load, {"forces": 2.0, "name": "sign"}),
     "put_pond": (

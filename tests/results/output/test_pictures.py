@@ -178,7 +178,7 @@ def test_an_edge_is_hidden_as_far_as_something_lies_before_it(
     wall = np.array([(0, -50, -40), (wide, -50, -40), (wide, -50, 90), (0, -50, 90.0)])
     both = np.concatenate([triangles, [(4, 5, 6), (4, 6, 7)]])
     drawn: list[Any] = []
-    monkeypatch.setattr(Axes, "add_collection", lambda axes, one, *more: drawn.append(one))
+    monkeypatch.setattr(Axes, "add_collection", lambda axes, one, **more: drawn.append(one))
     draw_shape(tmp_path / "wall.png", np.concatenate([points, wall]), both, view=(-90.0, 20.0),
                box=False, perspective=False)  # fmt: skip
     outline = next(one for one in drawn if type(one).__name__ == "LineCollection")

@@ -183,6 +183,7 @@ def test_doubtful_and_failed_checks(case: Case) -> None:
     assert "changed since its last load step" in reasons(moved)
     unknown = judged([replace(good, verification=None)])
     assert (unknown.look, unknown.text) == ("doubtful", "Not verified in this run: snow")
+    assert any("finer cells may change" in one for one in unknown.reasons)
 
 
 def test_long_names_give_way_to_codes(case: Case) -> None:

@@ -13,12 +13,12 @@ from crms_fenicsx.analysis.verification.report import Verification
 from crms_fenicsx.foundation.meshes.surface import BOUNDARY
 from crms_fenicsx.foundation.meshes.triangles import double_areas, norm
 from crms_fenicsx.foundation.runtime.arrays import Array
-from crms_fenicsx.results.design_checks import Extreme
+from crms_fenicsx.results.design_checks import Extreme, extreme
 from crms_fenicsx.results.foundations import Foundations, foundations
 from crms_fenicsx.results.membrane_results import MembraneResults, membrane_results
 from crms_fenicsx.results.output.report.page import Figure
 from crms_fenicsx.results.quantities import Solved
-from crms_fenicsx.results.summary import Summary, extreme, summary
+from crms_fenicsx.results.summary import Summary, summary
 
 BASE = "LC0"
 """Case name of the state that the first combination started from."""

@@ -21,6 +21,12 @@ CABLES = (
 )
 """Headings of cables' design values."""
 
+MAKE = (
+    "Cable|Construction|Diameter{length}|Metallic area{area}|Modulus{pressure}|EA{force}|"
+    "F_min{force}"
+)
+"""Headings of the make of cables."""
+
 BARS = (
     "Bar|Section|EI{bending}|gamma_M|N_t,Rd{force}|Curve|L_cr{length}|N_cr{force}|Slenderness|chi|"
     "N_b,Rd{force}"
@@ -28,12 +34,28 @@ BARS = (
 """Headings of bars' design values."""
 
 
+def _ropes(scene: Scene) -> dict[str, tuple[float, float | CableDesign | None]]:
+    """EA and design value of the cables, and of guys that are judged as cables, by name."""
+    known = scene.design.cables
+    found = {cable.name: cable.cable.EA for cable in scene.cables}
+    found |= {bar.name: bar.bar.EA for bar in scene.bars if scene.design.is_rope(bar)}
+    return {name: (EA, known.get(name, known.get(ALL))) for name, EA in found.items()}
+
+
+def cable_make(scene: Scene, units: Units) -> list[Row]:
+    """Make of cables and guys; none where nothing but the breaking force is given."""
+    rows: list[Row] = [
+        (name, one.construction or None, one.diameter and units.exact(one.diameter), one.area,
+         one.modulus, EA, one.breaking)
+        for name, (EA, one) in _ropes(scene).items() if isinstance(one, CableDesign)
+    ]  # fmt: skip
+    return rows if any(any(x is not None for x in row[1:5]) for row in rows) else []
+
+
 def cable_values(scene: Scene) -> list[Row]:
     """Design values of cables and guys by EN 1993-1-11, or as given; none of cables without."""
-    rows, known = list[Row](), scene.design.cables
-    guys = [bar.name for bar in scene.bars if scene.design.is_rope(bar)]
-    for name in [*(cable.name for cable in scene.cables), *guys]:
-        one = known.get(name, known.get(ALL))
+    rows = list[Row]()
+    for name, (_, one) in _ropes(scene).items():
         if isinstance(one, CableDesign):
             broken = one.breaking * one.ending
             rows.append((

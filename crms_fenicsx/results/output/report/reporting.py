@@ -24,6 +24,7 @@ from crms_fenicsx.results.cable_order import Order
 from crms_fenicsx.results.output.figures.axes3d import check_view
 from crms_fenicsx.results.output.figures.draw_scene import COLOURS
 from crms_fenicsx.results.output.report.case import BASE, Case, Shape, case_of, shape_of
+from crms_fenicsx.results.output.report.combination_tables import tables_of
 from crms_fenicsx.results.output.report.model_tables import Model, merged, model_of_scene
 from crms_fenicsx.results.output.report.page import (
     MACROS,
@@ -233,7 +234,7 @@ def model_of(solver: Solved, plan: Plan, states: Mapping[str, Combination]) -> M
             one = states[own[0]]
             solver.restore(one.snapshot if one.stage else one.base)
             models[", ".join(own)] = model_of_scene(solver.scene, plan.units)
-        model = merged(models, stages)
+        model = replace(merged(models, stages), combined=tables_of(states))
         solver.restore(shown)
         return _pictured(solver, plan, model, caption)
 

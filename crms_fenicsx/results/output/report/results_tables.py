@@ -21,6 +21,7 @@ from crms_fenicsx.results.output.report.page import (
     per_cent,
     place,
 )
+from crms_fenicsx.results.output.report.verdict import listed
 from crms_fenicsx.results.quantities import QUANTITIES, SUMMED_UP
 from crms_fenicsx.results.summary import ALL_SUPPORTS
 
@@ -228,7 +229,7 @@ class ResultTables:
         return Table("Cables", columns, rows, "cables", headings=2)
 
     def cable_envelope(self) -> Table:
-        """Smallest and largest tension of each cable over all cases."""
+        """Smallest and largest tension of each cable over all cases, and where it is slack."""
         rows: list[Row] = []
         for name, found in self.by_name("cables"):
             least, low = min(found, key=lambda one: one[1].least)
@@ -236,28 +237,30 @@ class ResultTables:
             shares = [(one.utilisation, case) for case, one in found if one.utilisation is not None]
             share, governs = max(shares, default=(None, None))
             used = None if share is None else per_cent(share)
-            rows.append((name, low.least, least, high.largest, largest, used, governs))
+            loose = [case for case, one in found if one.slack]
+            slack = "all" if len(loose) == len(found) > 1 else listed(loose) or None
+            rows.append((name, low.least, least, high.largest, largest, used, governs, slack))
         columns = self.units.headings(
             "Cable|Least tension{force}|Governs least|Largest tension{force}|Governs largest"
-            "|Utilisation|Governs utilisation"
+            "|Utilisation|Governs utilisation|Slack in"
         )
         return Table("Envelope of the cables' tensions", columns, rows, "cable_envelope")
 
     def tensions(self) -> list[Table]:
-        """Largest tension of each cable in each case."""
-        found = {name: {case: one.largest for case, one in known}
+        """Largest tension of each cable in each case, or that it is slack."""
+        found = {name: {case: "slack" if one.slack else one.largest for case, one in known}
                  for name, known in self.by_name("cables")}  # fmt: skip
         return self._matrix("Largest tensions of the cables{force}", found)
 
     def bar_forces(self) -> list[Table]:
         """Force of each bar, or the largest of each family, in each case."""
-        found = dict[str, dict[str, float]]()
+        found = dict[str, dict[str, Cell]]()
         for label, known in self._bars(every=False):
             for case, one in sorted(known, key=lambda pair: abs(pair[1].force)):
-                found.setdefault(label, {})[case] = one.force
+                found.setdefault(label, {})[case] = "slack" if one.slack else one.force
         return self._matrix("Forces of the bars, compression negative{force}", found)
 
-    def _matrix(self, caption: str, found: Mapping[str, Mapping[str, float]]) -> list[Table]:
+    def _matrix(self, caption: str, found: Mapping[str, Mapping[str, Cell]]) -> list[Table]:
         """Values by item and case, with a row for each case and up to `WIDE` items a table."""
         return [
             Table(

@@ -12,6 +12,7 @@ import numpy as np
 from crms_fenicsx.model.strengths import LIMIT_STATES
 from crms_fenicsx.results.cable_order import Order
 from crms_fenicsx.results.output.report.case import BASE, Case
+from crms_fenicsx.results.output.report.combination_tables import combination_sections
 from crms_fenicsx.results.output.report.design_tables import alike, fabric_values
 from crms_fenicsx.results.output.report.erection import by_stage, erection
 from crms_fenicsx.results.output.report.foundation_tables import (
@@ -217,14 +218,18 @@ class Report:
             *self._foundations(),
             *erection(self.results, self.held, plan.strain_limit, self.factors),
             *plan.sections,
-            PageSection("Verification", [
-                Paragraph(CHECKED), verdicts(self.cases), nearest_to_limits(self.cases)
-            ]),
+            PageSection("Verification", self._verification()),
             PageSection("Notes", [Notes(NOTES)]),
         ]  # fmt: skip
         return page(
             plan.title, self._about(), sections, Path(plan.template) if plan.template else None
         )
+
+    def _verification(self) -> list[PagePart]:
+        """The checks of equilibrium, where there were any."""
+        checks = nearest_to_limits(self.cases)
+        return [*([Paragraph(CHECKED)] if checks.rows else []), verdicts(self.cases),
+                *([checks] if checks.rows else [])]  # fmt: skip
 
     def _about(self) -> list[tuple[str, str]]:
         """Entries below the title: the user's, units, date and program."""
@@ -279,11 +284,9 @@ class Report:
     def _basis(self) -> list[PageSection]:
         """What the user and the loads say of codes, sites and factors."""
         rows = [*self.plan.basis.items(), *self.model.basis.items()]
-        if not rows:
-            return []
-        return [
-            PageSection("Basis of design", [Table("Codes, site and loads", ("Item", "Data"), rows)])
-        ]
+        below = combination_sections(self.model.combined)
+        given = [Table("Codes, site and loads", ("Item", "Data"), rows)] if rows else []
+        return [PageSection("Basis of design", given), *below] if rows or below else []
 
     def tables(self) -> list[Table]:
         """The tables for CSV files."""
@@ -307,7 +310,8 @@ class Report:
         more += [self.held.places(), self.held.forces(), self.held.envelope(), self.held.rim()]
         if self.plan.order is not None:
             more.append(cables_to_order(self.plan.order, of.units))
-        more += [part for one in self.plan.sections for part in one.body if isinstance(part, Table)]
+        own = [*combination_sections(self.model.combined), *self.plan.sections]
+        more += [part for one in own for part in one.body if isinstance(part, Table) and part.name]
         return found + [table for table in more if table.rows]
 
     def _tensions(self) -> BarChart:
@@ -329,7 +333,8 @@ class Report:
             tables["mesh"] = replace(tables["mesh"], rows=kept)
         below = [tables[x] for x in ("supports", "cables", "bars", "joints") if x in tables]
         design = [fabric_values(self.cases, self.plan.units)]
-        design += [alike(tables[x]) for x in ("cable values", "bar values") if x in tables]
+        design += [alike(tables[x]) for x in ("cable make", "cable values", "bar values")
+                   if x in tables]  # fmt: skip
         design += [tables[x] for x in ["limits"] if x in tables]
         design = [one for one in design if one.rows]
         return [

@@ -96,7 +96,7 @@ def verdict_on(cases: Sequence[Case], size: float, strain: float, units: Units) 
         return Verdict(text, [*reasons, *unjudged, *refined, *told], "failed")
     if missing:
         text = f"Not verified in this run: {listed(missing)}"
-        return Verdict(text, [*unjudged, *told], "doubtful")
+        return Verdict(text, [*unjudged, *refined, *told], "doubtful")
     used = any(case.summary.checks for case in cases)
     what = "no strain or utilisation" if used else "no strain"
     but = ", but not everything is judged" if unjudged else ""
