@@ -325,7 +325,9 @@ DRAWN: dict[str, dict[str, tuple[int, Draw]]] = {
 def fewer_colours(file: Path) -> None:
     """Store a picture with a palette, of a third of the bytes."""
     with Image.open(file) as image:
-        image.convert("RGB").quantize(160, dither=Image.Dither.NONE).save(file, optimize=True)
+        # not the default, "median cut", which replaces the ends of colour bars
+        few = image.convert("RGB").quantize(256, Image.Quantize.MAXCOVERAGE, kmeans=1)
+    few.save(file, optimize=True)
 
 
 def main(pages: list[str]) -> None:

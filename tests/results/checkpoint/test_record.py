@@ -265,6 +265,12 @@ CALLS: dict[str, tuple[Callable[..., Scene], dict[str, Any]]] = {
         lambda **new: after(sheet(), "fix", **{"where": "boundary"} | new),
         {"where": "left", "directions": "z"},
     ),
+    "release": (
+        lambda **new: after(
+            after(sheet(), "fix", where="boundary"), "release", **{"where": "left"} | new
+        ),
+        {"where": "right", "directions": "z"},
+    ),
     "floor": (lambda **new: after(sheet(), "floor", **{"z": -1.0} | new), {"z": -2.0}),
     "add_term": (lambda term=1.0: after(sheet(), "add_term", Springs(term)), {"term": 2.0}),
     "put_load": (

@@ -183,7 +183,9 @@ def draw(
     options = {**defaults, **options}
     if any(cable.state.lifted.any() for cable in scene.cables):
         options.setdefault("loose", "lifted")
-    lines = [*bar_lines(scene.bars), *cable_lines(scene.net)]
+    belts = {cable.name for cable in scene.cables if cable.hold == "bonded"}
+    ropes = sorted(cable_lines(scene.net), key=lambda line: line.name not in belts)
+    lines = [*bar_lines(scene.bars), *ropes]  # belts below the cables in their pockets
     piece = replace(surface_piece(scene.membrane, shape, {}), cell_data=fields)
     surface = whole_surface(scene.comm, piece)
     free = whole_surface(scene.comm, _stress_free(scene)) if ghost else None

@@ -137,7 +137,7 @@ def draw_png(solver: Solved, *, dpi: int, **options: Any) -> bytes:
         png: bytes = figure._repr_png_(dpi)  # type: ignore[attr-defined]
         with Image.open(io.BytesIO(png)) as picture:  # 256 colours take a third of the space
             # not the default, "median cut", which replaces the ends of colour bars
-            reduced = picture.convert("RGB").quantize(256, Image.Quantize.MAXCOVERAGE)
+            reduced = picture.convert("RGB").quantize(256, Image.Quantize.MAXCOVERAGE, kmeans=1)
             reduced.save(buffer, "PNG")
     return buffer.getvalue()
 
