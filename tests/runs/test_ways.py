@@ -65,7 +65,7 @@ def test_a_path_at_rest_is_not_pulled_taut_again(
 
     monkeypatch.setattr(GeodesicSliding, "_slide", slide)
     solver.advance(pressure=given.pressure)
-    assert_same_state(scene.state, kept, rtol=1e-12)
+    assert_same_state(scene.state, kept, rtol=1e-10)  # rounding of a strain, times EA / T
     assert not pulled
     solver.advance(pressure=1.5 * given.pressure)  # moves the cable
     assert pulled

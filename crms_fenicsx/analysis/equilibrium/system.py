@@ -66,6 +66,9 @@ class System:
 
     def __init__(self, scene: Scene, prefix: str, rtol: float, slide: bool = True) -> None:
         self.scene, self.prefix, self.rtol, self.slide = scene, prefix, rtol, slide
+        # As long as one object is there PETSc keeps its duplicate of the communicator: to make it
+        # again for each layout takes longer than a solve of some hundred unknowns.
+        self._lasting = PETSc.Vec().createMPI(0, comm=scene.comm)
         self.membrane = MembraneContribution(scene)
         self.pressure = PressureContribution(scene, self.membrane)
         self._loads = MembraneLoadsContribution(scene)
@@ -226,6 +229,7 @@ class System:
     def release(self) -> None:
         """Free all PETSc objects, for good."""
         self.destroy()
+        self._lasting.destroy()
         if self._rows is not None:
             self._rows.destroy()
 

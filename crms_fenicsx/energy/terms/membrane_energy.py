@@ -71,10 +71,12 @@ class MembraneEnergy(EnergyTerm):
         self.cell_tags = cell_tags
         cells = np.arange(mesh.topology.index_map(2).size_local, dtype=np.int32)
         self.warps: dict[int, fem.Function | None] = {}
-        vectors = fem.functionspace(mesh, ("DG", 0, (3,)))
+        vectors = None
         for tag, material in materials.items():
-            free = material.warp is None or frames is not None
-            self.warps[tag] = None if free else fem.Function(vectors)
+            self.warps[tag] = None
+            if material.warp is not None and frames is None:
+                vectors = vectors or fem.functionspace(mesh, ("DG", 0, (3,)))
+                self.warps[tag] = fem.Function(vectors)
         self._renew_warps()
         self._area = self._area_in_mesh()
         self.tension_field = self._tension_field(cells)
