@@ -55,6 +55,7 @@ from crms_fenicsx.foundation.runtime.errors import ConvergenceError, InputError,
 from crms_fenicsx.foundation.runtime.handle import ReadOnly
 from crms_fenicsx.foundation.runtime.interrupt import postponed, stop_together
 from crms_fenicsx.foundation.runtime.progress import progress
+from crms_fenicsx.model.combination_table import CombinationTable
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.membrane import Marker
 from crms_fenicsx.model.sealed_air import FanControl
@@ -488,7 +489,8 @@ class Solver:
         ... })
         >>> max(("snow", "storm"), key=lambda name: found[name].snapshot.tensions["ridge"])
         """
-        return combined(self, checked_combinations(self.scene, combinations), steps)
+        table = combinations if isinstance(combinations, CombinationTable) else None
+        return combined(self, checked_combinations(self.scene, combinations), steps, table)
 
     @collective
     def stage(self, name: Name, *, state: str = "erection") -> AbstractContextManager[SceneState]:
@@ -851,7 +853,8 @@ class Solver:
         Raises
         ------
         InputError
-            On all ranks: an unsupported result or parameter, a scene out of equilibrium, friction
+            On all ranks: an unsupported result or parameter, a temperature load on fabric that
+            cables fold or slide over, a scene out of equilibrium, friction
             or step-wise laws, or a singular tangent.
 
         Examples

@@ -90,6 +90,10 @@ for foot in ((0.0, 0.0, 0.0), (8.0, 0.0, 0.0), (0.0, 8.0, 0.0)):
     "Solver.clamp_forces": CLAMPED,
     "Solver.load": 'solver.save("results/dome/checkpoint")',
     "Solver.tangent": "from petsc4py import PETSc",
+    "study.combine_governing": f"""
+from crms_fenicsx import codes
+solver = build(cap)
+scene = solver.scene{LOADS}""",
     "study.marked_cells": "solver = build(cap)",
     "taylor_test": """
 class Springs(EnergyTerm):

@@ -345,10 +345,7 @@ class Membrane:
 
     def hold(self, where: str | Marker, directions: str, new_edges: bool) -> None:
         """Hold vertices at their current displacement, and edges over their length. Collective."""
-        if not isinstance(directions, str) or not directions or set(directions) - set(COMPONENTS):
-            raise InputError(
-                f"fix: directions = {directions!r} must be made of the letters x, y and z."
-            )
+        checks.directions("fix", directions)
         dofs = self.vertices(where)
         edges: Indices = np.zeros(0, dtype=np.int32)
         if isinstance(where, str) and where in self.mesh.edges and set(directions) == set("xyz"):

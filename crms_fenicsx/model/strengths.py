@@ -283,6 +283,12 @@ class CableDesign:
     service
         Limit of the stress in service over the breaking strength, table 7.2: 0.45, or 0.5 where
         bending stresses are taken into account.
+    construction, diameter
+        What the rope is, such as "spiral strand 1x19", and its diameter (length); for reports.
+    area, modulus
+        Metallic area (length squared) and modulus of elasticity of the rope, not of its wires, by
+        3.2.2 (force per area). They do not change results: `Cable` takes their product,
+        `stiffness`, as its EA.
 
     Notes
     -----
@@ -290,9 +296,12 @@ class CableDesign:
 
     Examples
     --------
-    >>> strand = codes.CableDesign(breaking=220.0, ending=0.9)  # kN
-    >>> strand.of("ULS"), strand.of("characteristic")
-    (132.0, 89.1)
+    >>> strand = codes.CableDesign(
+    ...     breaking=220.0, ending=0.9, construction="spiral strand 1x19", diameter=0.016,
+    ...     area=153e-6, modulus=150e6,
+    ... )  # kN, m
+    >>> strand.of("ULS"), strand.of("characteristic"), round(strand.stiffness)
+    (132.0, 89.1, 22950)
     """
 
     breaking: Positive
@@ -300,10 +309,30 @@ class CableDesign:
     gamma_R: Positive = 1.0
     ending: Positive = 1.0
     service: Positive = 0.45
+    construction: str = ""
+    diameter: Positive | None = None
+    area: Positive | None = None
+    modulus: Positive | None = None
 
     def __post_init__(self) -> None:
         for name in ("ending", "service"):
             checks.within(f"CableDesign: {name}", getattr(self, name), 0.0, 1.0)
+
+    @property
+    def stiffness(self) -> float:
+        """Metallic area times modulus (force).
+
+        Raises
+        ------
+        InputError
+            One of them is not given.
+        """
+        if self.area is None or self.modulus is None:
+            raise InputError(
+                f"CableDesign: the stiffness needs the metallic area and the modulus of the rope, "
+                f"which are {self.area} and {self.modulus}; pass area=... and modulus=... ."
+            )
+        return self.area * self.modulus
 
     def of(self, state: str) -> float:
         """Design value in a limit state (force)."""
@@ -382,9 +411,12 @@ def _check_units(what: str, pair: Strengths, materials: Iterable[Any]) -> None:
         )
 
 
-def checked_cables(call: str, cables: Any) -> dict[str, float | CableDesign]:
-    """Checked design values of cables by name, or under `ALL` those of all."""
+def checked_cables(call: str, cables: Any, ropes: Iterable[str]) -> dict[str, float | CableDesign]:
+    """Checked design values of cables and guys by their names, or under `ALL` those of all."""
     given = {} if cables is None else cables if isinstance(cables, Mapping) else {ALL: cables}
+    known = dict.fromkeys(ropes)
+    for name in given if isinstance(cables, Mapping) else ():
+        checks.named("cable or guy", known, name)
     return {
         name: one
         if isinstance(one, CableDesign)

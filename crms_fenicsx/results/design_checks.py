@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from mpi4py import MPI
@@ -13,10 +13,17 @@ from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.foundation.runtime.errors import as_text
 from crms_fenicsx.model.strengths import ALL, SERVICE
-from crms_fenicsx.model.tolerances import SAME_PLACE
+from crms_fenicsx.model.tolerances import SAME_VALUE
 from crms_fenicsx.results.cable_and_bar_results import Force
 from crms_fenicsx.results.membrane_results import MembraneResults
-from crms_fenicsx.results.recovered_values import patches, recovered, reinforced
+from crms_fenicsx.results.recovered_values import (
+    JudgedUtilisation,
+    patches,
+    recovered,
+    reinforced,
+)
+
+Item = TypeVar("Item")
 
 LASTING = "quasi-permanent"
 """State in which prestress must remain, and water must drain."""
@@ -97,24 +104,13 @@ def checks_of(
     scene: Scene,
     results: MembraneResults,
     found: Any,
+    used: JudgedUtilisation | None,
     extremes: Mapping[tuple[str, str], Extreme],
     drainage: tuple[float, Force] | None,
 ) -> tuple[DesignCheck, ...]:
-    """All checks of the present state, whose `Summary` is found but for them, with the least slope
-    of its drainage if that is limited. Collective."""
-    checks = _strengths(scene, results, found)
-    if found.state in SERVICE:
-        checks = [*_limits(scene, found, extremes, drainage), *checks]
-    return tuple(checks)
-
-
-def _strengths(scene: Scene, results: MembraneResults, found: Any) -> list[DesignCheck]:
-    """Checks of fabric, cables and bars by their strengths. Collective."""
-    checks = []
-    for part in results.design:
-        own = found.parts.get(part, found.parts[ALL])
-        if "utilisation" in own.largest:
-            checks.append(_fabric(results, part, own.largest["utilisation"]))
+    """All checks of the present state, whose `Summary` is found but for them, with its utilisation
+    if there are strengths, and the least slope of its drainage if that is limited. Collective."""
+    checks = [] if used is None else [*_fabric(results, used)]
     for cable in found.cables.values():
         if cable.strength is not None:
             checks.append(DesignCheck("cable", cable.name, cable.largest, cable.strength))
@@ -122,32 +118,48 @@ def _strengths(scene: Scene, results: MembraneResults, found: Any) -> list[Desig
         if bar.utilisation is not None and bar.force != 0.0:
             how, size = "tension" if bar.force > 0.0 else "compression", abs(bar.force)
             checks.append(DesignCheck(f"bar {how}", bar.name, size, size / bar.utilisation))
-    return checks
+    if found.state in SERVICE:
+        checks = [*_limits(scene, found, extremes, drainage), *checks]
+    return tuple(checks)
 
 
-def _fabric(results: MembraneResults, part: str, used: Extreme) -> DesignCheck:
-    """The check of a part's fabric at its largest utilisation, in the direction that governs there:
-    that of the larger ratio in the cells around. Collective."""
-    membrane, n = results.membrane, len(results.state)
-    limits: Array = np.full((n, 2), np.nan)
-    for name, one in results.design.items():
-        limits[slice(None) if name == ALL else results.parts[name]] = one.design
-    dofs = membrane.V.dofmap.list[:n]
-    away = np.linalg.norm(results.surface.points[dofs] - np.array(used.at), axis=2)
-    there = (away <= SAME_PLACE * membrane.size).any(axis=1) & np.isfinite(limits[:, 0])
-    there &= np.isin(np.arange(n), results.parts[part]) if part != ALL else True
-    ratios = results.warp_weft[there, :2] / limits[there]
-    plain = np.where(membrane.isotropic[there], 1.0, 0.0)
-    weights = results.stress_free_areas[there]
-    own = np.array([*np.nan_to_num(weights @ ratios), weights @ plain])
-    warp, weft, isotropic = results.comm.allreduce(own)
-    least = limits[there].min(axis=0, initial=np.inf)
-    bounds = [results.comm.allreduce(float(x), op=MPI.MIN) for x in least]
-    if isotropic > 0.0:
-        what, limit = "fabric", min(bounds)
-    else:
-        what, limit = ("fabric warp", bounds[0]) if warp >= weft else ("fabric weft", bounds[1])
-    return DesignCheck(what, part, used.value * limit, limit, used.at)
+def _fabric(results: MembraneResults, used: JudgedUtilisation) -> Iterator[DesignCheck]:
+    """Checks of the parts' fabric, along warp and weft each where it is most utilised, and of
+    isotropic material. Collective."""
+    dofs = results.membrane.V.dofmap.list[: len(results.state)]
+    for part in results.design:
+        cells = slice(None) if part == ALL else results.parts[part]
+        places = results.surface.points[dofs[cells]].reshape(-1, 3)
+        for k, what in enumerate(("fabric warp", "fabric weft", "fabric")):
+            ratios = np.where(used.patched, np.nan, used.ratios[:, :, k])[cells]
+            if not results.comm.allreduce(int(np.isfinite(ratios).sum())):
+                continue
+            most = extreme(results.comm, ratios.ravel(), places, largest=True)
+            there = (ratios.ravel() == most.value) & (places == most.at).all(axis=1)
+            own = np.repeat(used.limits[cells, k], 3)[there]
+            limit = results.comm.allreduce(float(own.min(initial=np.inf)), op=MPI.MIN)
+            yield DesignCheck(what, part, most.value * limit, limit, most.at)
+
+
+def governing_of(items: Iterable[Item], size: Callable[[Item], float]) -> Item:
+    """The first of the items whose size is the largest, up to the solver's tolerance: mirrored
+    combinations govern together, and all tables name the first."""
+    every = [(size(one), one) for one in items]
+    most = max(x for x, _ in every)
+    return next(one for x, one in every if x == most or most - x <= SAME_VALUE * abs(most))
+
+
+def extreme(comm: MPI.Intracomm, values: Array, places: Array, *, largest: bool) -> Extreme:
+    """Largest or least value on all ranks, ties broken by the least place; NaN ignored."""
+    sign = 1.0 if largest else -1.0
+    own = (-np.inf, (0.0, 0.0, 0.0))
+    ranked = np.where(np.isnan(values), -np.inf, sign * values)
+    if len(ranked):
+        ties = np.flatnonzero(ranked == ranked.max())
+        k = int(ties[np.lexsort(places[ties].T[::-1])[0]])
+        own = (float(ranked[k]), tuple(places[k].tolist()))
+    value, at = min(comm.allgather(own), key=lambda one: (-one[0], one[1]))
+    return Extreme(sign * value, at)
 
 
 def _limits(

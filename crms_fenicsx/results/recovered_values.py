@@ -15,7 +15,7 @@ radius is a length of the structure and not of the mesh.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 
 import numpy as np
@@ -177,10 +177,18 @@ def _kinds(results: MembraneResults) -> Integers:
 class JudgedUtilisation:
     """The utilisation that summaries, reports and pictures use."""
 
-    corners: Array  # (n, 3) recovered at the corners of this rank's cells
-    patched: Booleans  # (n, 3) which of them lie in reinforcement
+    # (n, 3, 3) recovered at the corners of this rank's cells: along warp, along weft, and of the
+    # major principal force in isotropic material; NaN where there is no such direction
+    ratios: Array
+    limits: Array  # (n, 3) design strengths of the cells that these ratios refer to
+    patched: Booleans  # (n, 3) which corners lie in reinforcement
     # (n,) largest difference of a cell's own value from those at its corners out of reinforcement
     spread: Array
+
+    @property
+    def corners(self) -> Array:
+        """The larger ratio at each corner, (n, 3)."""
+        return np.asarray(np.fmax.reduce(self.ratios, axis=2))
 
     @property
     def judged(self) -> Array:
@@ -197,12 +205,21 @@ class JudgedUtilisation:
 
 def judged_utilisation(results: MembraneResults, patches: dict[str, Patch]) -> JudgedUtilisation:
     """Recover the utilisation and mark the corners in reinforcement. Collective."""
-    corners = recovered(results, "utilisation")
-    dofs = results.membrane.V.dofmap.list[: len(corners)]
-    patched = reinforced(results.surface.stress_free, patches)[dofs]
-    away = np.abs(corners - results.values("utilisation")[:, None])
-    spread = np.max(away, axis=1, initial=0.0, where=~patched)
-    return JudgedUtilisation(corners, patched, spread)
+    n, plain = len(results.state), results.membrane.isotropic
+    strengths: Array = np.full((n, 2), np.nan)
+    for part, one in results.design.items():
+        strengths[slice(None) if part == ALL else results.parts[part]] = one.design
+    forces: Array = np.full((n, 3, 3), np.nan)
+    for k, name in enumerate(("warp", "weft", "true force 1")):
+        if name in results.names:
+            own = plain if name == "true force 1" else ~plain
+            forces[own, :, k] = recovered(results, name)[own]
+    limits = np.column_stack([strengths, strengths.min(axis=1)])
+    ratios = np.maximum(forces / limits[:, None], 0.0)
+    patched = reinforced(results.surface.stress_free, patches)[results.membrane.V.dofmap.list[:n]]
+    found = JudgedUtilisation(ratios, limits, patched, np.zeros(n))
+    away = np.abs(found.corners - results.values("utilisation")[:, None])
+    return replace(found, spread=np.max(away, axis=1, initial=0.0, where=~patched))
 
 
 def at_facets(results: MembraneResults, corners: Array) -> Array:

@@ -18,6 +18,7 @@ from petsc4py import PETSc
 
 from crms_fenicsx.analysis.equilibrium.system import System
 from crms_fenicsx.analysis.scene import Scene
+from crms_fenicsx.analysis.steps.loading import checked_target
 from crms_fenicsx.energy.minimization.augmented_stiffness import AugmentedStiffness
 from crms_fenicsx.energy.minimization.initial_hessian import Preconditioner
 from crms_fenicsx.foundation.runtime.arrays import EPSILON, Array
@@ -73,8 +74,8 @@ class Sensitivities:
 def sensitivities(system: System, of: Sequence[object], by: Sequence[object]) -> Sensitivities:
     """Derivatives at a scene's equilibrium; see `Solver.sensitivities`. Collective."""
     scene = system.scene
-    setters = [_parameter(scene, one) for one in by]
     system.update()
+    setters = [_parameter(system, one) for one in by]
     rubs = scene.net.has_friction or any(
         c.state.law.axial is not None or c.may_slip for c in scene.cables
     )
@@ -174,6 +175,11 @@ class _Changes:
         self.state = system.scene.state
         self.start = system.potential.x.copy()
 
+    def restore(self) -> None:
+        """Return to the state in which the derivatives are taken."""
+        self.scene.state = self.state
+        self.system.membrane.energy.renew_materials()
+
     def slope(self, setter: Setter) -> tuple[Array, Array]:
         """Derivatives by a parameter: of the forces -g in the free components, (3 n_owned,), and
         of minus the unstressed lengths of the parts about to become taut."""
@@ -186,7 +192,7 @@ class _Changes:
             self.system.potential.free_gradient(self.system.potential.g_vector)
             slopes.append(self.system.potential.g_vector.array.copy())
             lengths.append(self.parts.unstressed_lengths())
-            self.scene.state = self.state
+            self.restore()
         slope, shortened = (np.asarray((two[1] - two[0]) / (2 * step)) for two in (slopes, lengths))
         return slope, shortened
 
@@ -208,7 +214,7 @@ class _Changes:
             system.write_scene()
             found.append(np.array([one() for one in self.read]))
             excess.append(np.array([cable.length - cable.L0 for cable in self.parts.loose]))
-            self.scene.state = self.state
+            self.restore()
         place.destroy()
         grown = np.abs(excess[0] - excess[1])
         loose = zip(self.parts.loose, grown, strict=True)
@@ -278,8 +284,28 @@ def _result(scene: Scene, one: object, parts: TautParts) -> Callable[[], float]:
     )
 
 
-def _parameter(scene: Scene, one: object) -> Setter:
+def _temperature(system: System, name: str) -> Callable[[float], None]:
+    """Function that changes the factor of a temperature load by a number."""
+    scene = system.scene
+    fabric = any(load.name == name for k in scene.materials for load, _ in scene.loads.warmings(k))
+    if fabric and (system.folds is not None or system.shifts is not None):
+        raise InputError(
+            f"sensitivities: by has {name!r}, which changes the temperature of fabric that cables "
+            "fold or slide over; compare load steps instead, or hold the cables in pockets along "
+            "lines of the mesh."
+        )
+
+    def change_temperature(change: float) -> None:
+        target = checked_target(scene, load={name: scene.factors[name] + change})
+        target.apply(scene, scene.state, 0.0, 1.0)
+        system.membrane.energy.renew_materials()
+
+    return change_temperature
+
+
+def _parameter(system: System, one: object) -> Setter:
     """Function that changes a parameter of the scene by a number, and its step."""
+    scene = system.scene
     if isinstance(one, LaidCable) and one in scene.cables:
         return (lambda change: one.update(L0=one.L0 + change)), STEP * one.L0
     if isinstance(one, PlacedBar) and one in scene.bars:
@@ -289,9 +315,7 @@ def _parameter(scene: Scene, one: object) -> Setter:
             STEP, STEP * abs(scene.pressure)
         )
     if isinstance(one, str) and any(load.name == one and load.warms for load in scene.loads):
-        raise InputError(
-            f"sensitivities: by has {one!r}, a temperature change; compare load steps instead."
-        )
+        return _temperature(system, one), STEP
     if isinstance(one, str) and one in [load.name for load in scene.loads]:
 
         def change_load(change: float) -> None:

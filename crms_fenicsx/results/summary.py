@@ -35,6 +35,8 @@ from crms_fenicsx.results.design_checks import (
     DesignCheck,
     Extreme,
     checks_of,
+    extreme,
+    governing_of,
     in_service,
 )
 from crms_fenicsx.results.hollows import Hollow, Hollows, find_hollows
@@ -277,13 +279,13 @@ class DesignTable:
     @classmethod
     def of(cls, summaries: Mapping[str, Summary]) -> DesignTable:
         """The table of summaries by combination."""
-        most: dict[tuple[str, str, str], tuple[str, str, DesignCheck]] = {}
+        found: dict[tuple[str, str, str], list[tuple[str, str, DesignCheck]]] = {}
         for name, one in summaries.items():
             for check in one.checks:
                 key = one.state, check.what, check.member
-                if key not in most or check.share > most[key][2].share:
-                    most[key] = one.state, name, check
-        rows = sorted(most.values(), key=lambda row: LIMIT_STATES.index(row[0]))
+                found.setdefault(key, []).append((one.state, name, check))
+        most = [governing_of(rows, lambda row: row[2].share) for rows in found.values()]
+        rows = sorted(most, key=lambda row: LIMIT_STATES.index(row[0]))
         judged = [one for one in summaries.values() if one.state not in SERVICE]
         without = dict.fromkeys(name for one in judged for name in _without_design(one))
         without |= dict.fromkeys(_without_duration(judged))
@@ -298,8 +300,7 @@ class DesignTable:
     @property
     def governing(self) -> tuple[str, str, DesignCheck] | None:
         """The row with the largest share; None without any."""
-        rows = self.rows
-        return max(rows, key=lambda row: row[2].share) if rows else None
+        return governing_of(self.rows, lambda row: row[2].share) if self.rows else None
 
     def __repr__(self) -> str:
         """A table grouped by limit state."""
@@ -352,18 +353,20 @@ def summary(system: System) -> Summary:
     scene = system.scene
     drains = scene.design.limits.slope is not None and scene.case.state == LASTING
     hollows = find_hollows(scene.net, drains)
-    found, results = _without_checks(system, hollows)
+    found, results, used = _without_checks(system, hollows)
     extremes = {
         key: extreme(scene.comm, values, at, largest=key[0] == "deflection")
         for key, (values, at) in in_service(scene, results).items()
     }
-    checks = checks_of(scene, results, found, extremes, hollows.least)
+    checks = checks_of(scene, results, found, used, extremes, hollows.least)
     return replace(found, deflection=extremes.get(("deflection", ALL)), checks=checks)
 
 
-def _without_checks(system: System, hollows: Hollows) -> tuple[Summary, MembraneResults]:
-    """The summary of the present state without its checks, and the membrane's results.
-    Collective."""
+def _without_checks(
+    system: System, hollows: Hollows
+) -> tuple[Summary, MembraneResults, JudgedUtilisation | None]:
+    """The summary of the present state without its checks, the membrane's results, and its
+    utilisation if there are strengths. Collective."""
     scene, results = system.scene, membrane_results(system)
     places = results.surface.points  # includes cable points on folded cells
     moved = places - results.surface.stress_free
@@ -399,7 +402,7 @@ def _without_checks(system: System, hollows: Hollows) -> tuple[Summary, Membrane
         hollows=hollows.hollows,
         patches={} if used is None else _patch_summaries(results, used, corners),
     )
-    return found, results
+    return found, results, used
 
 
 def _patch_summaries(
@@ -461,19 +464,6 @@ def _centres(surface: CurrentSurface, n: int) -> Array:
     order = np.lexsort((norm(double_areas(corners)), surface.parents))
     largest = np.searchsorted(surface.parents[order], np.arange(n), side="right") - 1
     return np.asarray(corners[order[largest]].mean(axis=1))
-
-
-def extreme(comm: MPI.Intracomm, values: Array, places: Array, *, largest: bool) -> Extreme:
-    """Largest or least value on all ranks, ties broken by the least place; NaN ignored."""
-    sign = 1.0 if largest else -1.0
-    own = (-np.inf, (0.0, 0.0, 0.0))
-    ranked = np.where(np.isnan(values), -np.inf, sign * values)
-    if len(ranked):
-        ties = np.flatnonzero(ranked == ranked.max())
-        k = int(ties[np.lexsort(places[ties].T[::-1])[0]])
-        own = (float(ranked[k]), tuple(places[k].tolist()))
-    value, at = min(comm.allgather(own), key=lambda one: (-one[0], one[1]))
-    return Extreme(sign * value, at)
 
 
 def _supports(system: System) -> dict[str, SupportSummary]:

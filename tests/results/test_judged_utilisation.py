@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from cabled_square import advanced, clamped
 from mpi4py import MPI
+from report_page import read_csv
 
 from crms_fenicsx import (
     Bar,
@@ -22,6 +23,7 @@ from crms_fenicsx import (
     meshes,
 )
 from crms_fenicsx.foundation.meshes import MembraneMesh
+from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.results.recovered_values import at_facets, judged_utilisation, patches, recovered
 
 UNITS = pytest.mark.parametrize("units", [(1.0, 1.0), (1000.0, 1e-3)], ids=["m, kN", "mm, MN"])
@@ -313,3 +315,54 @@ def test_parts_of_foil_and_fabric(comm: MPI.Intracomm) -> None:
     assert "warp" not in summary.parts["foil"].largest
     assert summary.parts["fabric"].largest["warp"].value == pytest.approx(6.0)
     assert "true force 1 4" in repr(summary)
+
+
+def vertex_means(solver: Solver, column: int) -> Array:
+    """Means of the cells' forces along warp (0) or weft (1) at all vertices, from raw values."""
+    results, membrane = solver.results(), solver.scene.membrane
+    dofs = solver.scene.V.dofmap.list[: len(results.state)]
+    own = membrane.vertex_ids[dofs], results.warp_weft[:, column], results.stress_free_areas
+    ids, forces, areas = map(np.concatenate, zip(*membrane.comm.allgather(own), strict=True))
+    weights = np.bincount(ids.ravel(), np.repeat(areas, 3))
+    sums = np.bincount(ids.ravel(), np.repeat(areas * forces, 3))
+    return np.asarray(sums[weights > 0.0] / weights[weights > 0.0])
+
+
+@pytest.mark.ranks
+def test_warp_and_weft_govern_by_themselves(comm: MPI.Intracomm, folder: Path) -> None:
+    """Each in its own combination and place, also where the other one is larger."""
+    mesh = meshes.rectangle(comm, 6.0, 4.0, 1.0)
+    fabric = OrthotropicMembrane(
+        E1=500.0, E2=400.0, G12=20.0, nu21=0.2, thickness=1.0, prestress=(3.0, 1.0)
+    )
+    scene = Scene(mesh, fabric)
+    scene.fix("boundary")
+    scene.put_load((0.0, 0.0, -1.0), name="snow", per="plan")
+    scene.put_load(lambda x, n: np.stack([0 * x[0], 0 * x[0], 1.0 * x[0]]), name="lift", per="plan")
+    scene.set_strengths((10.0, 20.0))
+    solver = advanced(Solver(scene))
+    found = solver.combine({"calm": {}, "snow": {"snow": 1.0}, "lift": {"lift": 1.0}})
+    limits = {"fabric warp": 10.0, "fabric weft": 20.0}
+    largest = {what: dict[str, float]() for what in limits}
+    for name, one in found.items():
+        solver.restore(one.snapshot)
+        checks = {check.what: check for check in solver.summary().checks}
+        for column, what in enumerate(largest):
+            most = float(vertex_means(solver, column).max())
+            largest[what][name] = most
+            assert checks[what].effect == pytest.approx(most, rel=1e-9), (name, what)
+            assert checks[what].limit == limits[what]
+        used = solver.summary().membrane.largest["utilisation"].value
+        assert used == pytest.approx(checks["fabric warp"].share)
+        assert used > checks["fabric weft"].share  # which would not be told otherwise
+    rows = {check.what: (name, check) for _, name, check in solver.judge(found).rows}
+    solver.report(folder / "page.html", found, pictures=[])
+    comm.barrier()
+    printed = {row["Verification"]: row for row in read_csv(folder / "page_governing.csv")}
+    for what, sizes in largest.items():
+        case = max(sizes, key=lambda name, of=sizes: of[name])
+        assert rows[what][0] == case and rows[what][1].effect == pytest.approx(sizes[case])
+        row = printed[f"Membrane, {what.split()[1]}"]
+        share = sizes[case] / limits[what]
+        assert row["Combination"] == case and row["Utilisation"] == f"{100 * share:.1f} %"
+    assert largest["fabric weft"]["lift"] > largest["fabric weft"]["calm"]

@@ -21,7 +21,7 @@ from crms_fenicsx import (
 )
 from crms_fenicsx.cabling.cables.deformed_surface import current_surface, gained_volume
 from crms_fenicsx.foundation.runtime.arrays import Array
-from crms_fenicsx.foundation.surface.polygons import best_fan
+from crms_fenicsx.foundation.surface.polygons import best_fans
 from crms_fenicsx.model.materials import MembraneMaterial
 from crms_fenicsx.results.output.report.case import _shape_change, shape_of
 from crms_fenicsx.results.quantities import load_label, load_values
@@ -399,14 +399,18 @@ def test_slack_cables_fold_nothing() -> None:
     assert len(surface.points) == len(scene.positions())
 
 
-def test_fan_avoids_triangles_without_area() -> None:
+def test_fans_avoid_triangles_without_area() -> None:
     points = np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0], [2, 2, 0], [0, 2, 0]], dtype=float)
-    for first in range(5):
-        ring = [(first + k) % 5 for k in range(5)]
-        fan = points[best_fan(points, ring)]
+    rings = [[(first + k) % 5 for k in range(5)] for first in range(5)]
+    rings[1:1], rings[4:4] = [[0, 2, 4]], [[0, 2, 3, 4]]  # of other sizes between them
+    starts = np.cumsum([0, *map(len, rings)])
+    fans, polygons = best_fans(points, starts, np.concatenate(rings))
+    assert list(np.bincount(polygons)) == [len(ring) - 2 for ring in rings]
+    for number, ring in enumerate(rings):
+        fan = points[fans[polygons == number]]
         areas = np.cross(fan[:, 1] - fan[:, 0], fan[:, 2] - fan[:, 0])[:, 2] / 2
         assert areas.min() > 0.5
-        assert areas.sum() == pytest.approx(4.0)
+        assert areas.sum() == pytest.approx(2.0 if len(ring) == 3 else 4.0)
 
 
 @pytest.mark.ranks

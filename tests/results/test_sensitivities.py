@@ -150,6 +150,47 @@ def test_guys_are_tuned_to_tensions(comm) -> None:
 
 
 @pytest.mark.ranks
+@pytest.mark.parametrize("change", [-20.0, {"cables": -20.0, "strut": 15.0}])
+def test_temperatures_against_central_differences(
+    comm: MPI.Intracomm, change: float | dict[str, float]
+) -> None:
+    """Of fabric, a cable in a pocket and a bar; the exact growth of lengths and strains."""
+    material = IsotropicMembrane(E=300.0, nu=0.25, thickness=1.0, prestress=1.0, expansion=4e-5)
+    mesh = meshes.rectangle(comm, 10.0, 10.0, 1.3, lines={"a": PATHS["a"]})
+    scene = clamped(mesh, material)
+    rope = Cable(1e3, expansion=1.2e-5)
+    scene.lay_cable(rope, along="a", hold="pocket", tension=5.0)
+    middle = scene.vertex_at(scene.cables[0].line[len(scene.cables[0].line) // 2])
+    strut = scene.add_bar(Bar(EA=500.0, expansion=2e-5), middle, (5.0, 5.0, -6.0), name="strut")
+    scene.put_temperature(change, name="temperature winter")
+    solver = Solver(scene, rtol=1e-11)
+    solver.advance(pressure=1.0, load={"temperature winter": 0.5})
+    (a,), state = scene.cables, solver.snapshot()
+    of = [a, strut, "energy", "volume", a.start]
+    found = solver.sensitivities(of, ["temperature winter"])
+    assert scene.in_equilibrium()
+    results = []
+    for sign in (1.0, -1.0):
+        solver.restore(state)
+        solver.advance(load={"temperature winter": 0.5 + sign * 1e-2})
+        reaction = np.linalg.norm(a.start.reaction)
+        results.append([a.tension, strut.force, scene.energy, scene.volume, reaction])
+    differences = (np.array(results[0]) - results[1]) / 2e-2
+    np.testing.assert_allclose(found.values[:, 0], differences, rtol=2e-6)
+
+
+@pytest.mark.ranks
+def test_temperature_of_folded_fabric_is_refused(comm: MPI.Intracomm) -> None:
+    solver = crossed(comm)
+    warm = IsotropicMembrane(E=300.0, nu=0.25, thickness=1.0, prestress=1.0, expansion=4e-5)
+    solver.scene.set_material(warm)
+    solver.scene.put_temperature({"fabric": 20.0}, name="temperature summer")
+    solver.advance(pressure=1.0)
+    with pytest.raises(InputError, match="of fabric that cables fold"):
+        solver.sensitivities(["energy"], ["temperature summer"])
+
+
+@pytest.mark.ranks
 def test_bad_sensitivities_are_refused(comm) -> None:
     solver = crossed(comm)
     with pytest.raises(InputError, match=r"sensitivities: .*advance"):

@@ -2,8 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import pytest
 import ways
+from same_state import assert_same_state
+
+from crms_fenicsx import LaidCable
+from crms_fenicsx.cabling.paths.geodesic_sliding import GeodesicSliding
 
 ALIKE = (
     1,  # a cap whose mesh has meridians
@@ -40,3 +47,25 @@ def test_the_same_load_moves_nothing() -> None:
     """
     result = ways.run(66, ["out"])
     assert result.rests("out") and result.again_evaluations <= 25, ways.line(result)
+
+
+@pytest.mark.parametrize("number", [1, 66])
+def test_a_path_at_rest_is_not_pulled_taut_again(
+    number: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A load step that ends with its budget of geodesics used up had left the next ones for the
+    same load once more."""
+    given = ways.setting(number, 10)
+    scene, solver = ways.Ways(given).solve("direct")
+    kept, pulled, pull = scene.state, list[object](), GeodesicSliding._slide
+
+    def slide(self: GeodesicSliding, cables: Sequence[LaidCable], *rest: Any, **named: Any) -> int:
+        pulled.extend(cables)
+        return pull(self, cables, *rest, **named)
+
+    monkeypatch.setattr(GeodesicSliding, "_slide", slide)
+    solver.advance(pressure=given.pressure)
+    assert_same_state(scene.state, kept, rtol=1e-12)
+    assert not pulled
+    solver.advance(pressure=1.5 * given.pressure)  # moves the cable
+    assert pulled

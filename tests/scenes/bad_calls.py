@@ -229,6 +229,12 @@ def scenes(scene: Scene, other: Scene, solver: Solver, cable: LaidCable) -> list
             {"where": "left"},
             {"where": where, "directions": (*NO_TEXTS, "xq")},
         ),
+        Call(
+            "release",
+            other.release,
+            {"where": "left"},
+            {"where": where, "directions": (*NO_TEXTS, "xq")},
+        ),
         Call("floor", scene.floor, {"z": -9.0}, {"z": (1.0, 1e300)}),
         Call(
             "put_load",

@@ -324,6 +324,22 @@ class Frame:
                 names[k > 0], points[k] = point.name, point.position
         return points, (names[0], names[1])
 
+    def release(self, joint: Joint, directions: str) -> None:
+        """Release components of a held joint that bars carry on."""
+        checks.own("release", "joint", joint, self.joints)
+        marks = np.array([letter in directions for letter in COMPONENTS])
+        if not (joint.held & marks).any():
+            raise InputError(
+                f"release: the joint {joint.name!r} is not held in {directions!r}; its held "
+                f"directions are {''.join(x for x, k in COMPONENTS.items() if joint.held[k])!r}."
+            )
+        if not any(joint in (bar.start, bar.end) for bar in self.bars):
+            raise InputError(
+                f"release: no bar ends at the joint {joint.name!r}; add the bars that hold it, or "
+                "remove the cables that end at it."
+            )
+        joint.update(held=joint.held & ~marks)
+
     def check_held(self, cable_ends: Iterable[str | None]) -> None:
         """Raise an error for joints without support."""
         of_cables = set(cable_ends)

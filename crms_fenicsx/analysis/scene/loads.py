@@ -297,8 +297,9 @@ class Loads(Stateful[LoadsState]):
 
     @collective
     def put_temperature(
-        self, change: float | Mapping[str, float], *, name: Name = "temperature change"
-    ) -> None:
+        self, change: float | Mapping[str, float], *, name: Name = "temperature change",
+        reference: Finite | None = None,
+    ) -> None:  # fmt: skip
         """Change the temperature of fabric, cables and bars; `Solver.advance` applies it by its
         factor. Collective.
 
@@ -316,6 +317,9 @@ class Loads(Stateful[LoadsState]):
         name
             Name in load steps and results. `codes.combinations` needs one that begins with
             "temperature".
+        reference
+            Temperature T_0 at which the model's lengths and forces hold, for the report (degrees
+            Celsius): it lists the temperatures that follow.
 
         Raises
         ------
@@ -333,7 +337,7 @@ class Loads(Stateful[LoadsState]):
         --------
         >>> strand = Cable(EA=1e3, expansion=1.2e-5)
         >>> stay = scene.lay_cable(strand, [(0.0, 1.0), (4.0, 3.0)], tension=4.0, name="stay")
-        >>> scene.put_temperature({"stay": -30.0}, name="temperature winter")
+        >>> scene.put_temperature({"stay": -30.0}, name="temperature winter", reference=10.0)
         >>> step = solver.advance(load={"temperature winter": 1.5})
         """
         self._check_new("put_temperature", name)
@@ -341,7 +345,14 @@ class Loads(Stateful[LoadsState]):
         bars = tuple(bar.name for bar in self._frame.bars)
         cables = tuple(cable.name for cable in self._net.cables)
         changes = checked_changes(change, {"fabric": parts, "cables": cables, "bars": bars})
-        self.add(MembraneLoad(name, np.zeros(self.membrane.held.shape), 0.0, warms=changes))
+        told = []
+        if reference is not None:
+            told.append(f"T_0 = {reference:g} °C")
+            told += [
+                f"{one or 'all'} {dT:+g} K to {reference + dT:g} °C" for one, dT in changes.items()
+            ]
+        none, basis = np.zeros(self.membrane.held.shape), ", ".join(told)
+        self.add(MembraneLoad(name, none, 0.0, warms=changes, basis=basis))
 
     @property
     def has_wind(self) -> bool:

@@ -231,7 +231,7 @@ class Scene:
         self._frame = Frame(self.membrane, self.versions)
         self._loads = Loads(self.net, self.versions, self.frame)
         self._air = Air(self.net, self.versions, pressure)
-        self._design = Design(self.membrane, self.frame)
+        self._design = Design(self.membrane, self.frame, self.net)
         self._floor_level: float | None = None
         self._terms: tuple[EnergyTerm, ...] = ()
         self._energies: Mapping[str, float] = {}
@@ -335,6 +335,43 @@ class Scene:
         >>> sail.fix(lambda x: x[0] > 3.99, "z")
         """
         self.membrane.hold(where, directions, new_edges=not self.cables)
+
+    @collective
+    @changes_model
+    def release(self, where: str | Marker | Joint, directions: str = "xyz") -> None:
+        """Release vertices of the membrane, or a joint, as when a temporary support is removed.
+
+        Vertices that belong to edges which stay held over their length stay held, too.
+
+        Parameters
+        ----------
+        where
+            As for `vertices`, or a joint, or the name of one, that is held in space. An end of a
+            cable at such a joint goes on with the bars that the joint has.
+        directions
+            Released components of the displacement, out of "xyz".
+
+        Raises
+        ------
+        InputError
+            On all ranks: nothing that is held there, unknown directions, a held edge after cables
+            have been laid, a vertex at which a cable has an anchor of its own, which would stay
+            behind, or a joint without bars.
+
+        Examples
+        --------
+        >>> crane = scene.add_joint((2.0, 1.5, 4.0), name="hook", held="xyz")
+        >>> for foot in ((0.0, 0.0, 0.0), (4.0, 0.0, 0.0), (2.0, 3.0, 0.0)):
+        ...     bar = scene.add_bar(Bar(EA=1e4), foot, crane)
+        >>> scene.release("hook")
+        """
+        checks.directions("release", directions)
+        named = {joint.name: joint for joint in self.joints}
+        joint = where if not isinstance(where, str) else named.get(where)
+        if isinstance(joint, Joint):
+            self.frame.release(joint, directions)
+        else:
+            self.net.release(where, directions)  # type: ignore[arg-type]
 
     @collective
     @changes_model

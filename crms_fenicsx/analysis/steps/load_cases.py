@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -20,6 +20,7 @@ from crms_fenicsx.foundation.runtime.errors import ConvergenceError, InputError
 from crms_fenicsx.foundation.runtime.handle import ReadOnly
 from crms_fenicsx.model.bar import PlacedBar
 from crms_fenicsx.model.changed_materials import numbers, with_numbers
+from crms_fenicsx.model.combination_table import CombinationTable
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.strengths import AIR, LIMIT_STATES, SERVICE, SETTINGS, acting_loads
 
@@ -40,6 +41,8 @@ class Combination:
         State that it started from: the structure in operation, or the stage before.
     stage
         Number of the stage, from 1; 0 for a combination.
+    table
+        The table of `codes.combinations` that it is of; None without.
     """
 
     name: str
@@ -47,6 +50,7 @@ class Combination:
     snapshot: SceneState
     base: SceneState
     stage: int = 0
+    table: CombinationTable | None = field(default=None, repr=False)
 
     @property
     def state(self) -> str:
@@ -168,21 +172,23 @@ def _check_strengths(scene: Scene, call: str, state: str, factors: dict[str, flo
 
 
 def combined(
-    solver: Combines, combinations: Mapping[str, Given], steps: int
+    solver: Combines, combinations: Mapping[str, Given], steps: int, table: CombinationTable | None
 ) -> dict[str, Combination]:
-    """Apply checked combinations, each from the current state; see `Solver.combine`. Collective."""
+    """Apply checked combinations of a table, each from the current state; see `Solver.combine`.
+    Collective."""
     found, scene = dict[str, Combination](), solver.scene
     for name, given in checks.in_one_order(scene.comm, combinations).items():
         with solver.branch(name) as start:
             base = next((one.base for one in found.values()), start)  # equal, so kept once
-            case = LoadCase(given.state, base, given.prestress, given.without)
+            last = start.case.stage
+            case = LoadCase(given.state, base, given.prestress, given.without, last)
             scene.record(case=case)
             L0 = prepare(scene, given)
             try:
                 step = solver.advance(load=given.factors, L0=L0, steps=steps, **given.air)
             except ConvergenceError as error:
                 raise ConvergenceError(f"combination {name!r}: {error}") from None
-            found[name] = Combination(name, step, solver.snapshot(), base)
+            found[name] = Combination(name, step, solver.snapshot(), base, table=table)
     return found
 
 
@@ -206,9 +212,11 @@ def staged(solver: Combines, name: str, state: str) -> Iterator[SceneState]:
     if name in solver.stages:
         raise InputError(f"{call} is a stage already; use another name.")
     _check_outermost(solver, "stage", name)
+    _check_newest(solver, call)
     _check_strengths(scene, call, state, {})
     before, first, solver.case = solver.snapshot(), len(solver.steps), name
-    case = LoadCase(state, before)
+    number = before.case.stage + 1
+    case = LoadCase(state, before, stage=number)
     scene.record(case=case)
     try:
         yield before
@@ -228,9 +236,20 @@ def staged(solver: Combines, name: str, state: str) -> Iterator[SceneState]:
         raise
     finally:
         solver.case = ""
-    number = len(solver.stages) + 1
     solver.stages[name] = Combination(name, solver.steps[-1], solver.snapshot(), before, number)
-    scene.record(case=LoadCase())  # what follows is judged as usual
+    scene.record(case=LoadCase(stage=number))  # what follows is judged as usual
+
+
+def _check_newest(solver: Combines, call: str) -> None:
+    """Refuse a stage that would follow on an earlier one than the last."""
+    later = [x for x in solver.stages.values() if x.stage > solver.scene.case.stage]
+    if later:
+        names = ", ".join(repr(one.name) for one in later)
+        raise InputError(
+            f"{call} would begin in an earlier state than that after {later[-1].name!r}: go on "
+            f"from there by solver.restore(solver.stages[{later[-1].name!r}].snapshot), or delete "
+            f"the stages that it replaces ({names}) from solver.stages first."
+        )
 
 
 def _check_outermost(solver: Combines, call: str, name: str) -> None:

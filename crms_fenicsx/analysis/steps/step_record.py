@@ -42,7 +42,8 @@ class Step:
     halvings
         How often the increment was halved.
     verification
-        Independent checks of the state; None if verification is off. Checkpoints leave it out.
+        Independent checks of the state; None if verification is off. Checkpoints have that of the
+        last step only.
     warnings
         Warnings of the step: snap-through with its load interval, unstable equilibrium, cable
         ends under the membrane, ranges of uncertain forces.

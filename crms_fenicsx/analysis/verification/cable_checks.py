@@ -190,7 +190,7 @@ def _beside(system: System) -> tuple[dict[LaidCable, Array], dict[LaidCable, flo
     they are than both radii, relative to these. Collective."""
     from crms_fenicsx.cabling.contact.side_by_side import overlaps
 
-    return system.forces_beside(), overlaps(system.scene.cables)
+    return system.forces_beside(), overlaps(system.scene.net)
 
 
 def _apart(scene: Scene) -> list[float]:

@@ -9,22 +9,24 @@ from itertools import combinations
 
 import numpy as np
 import numpy.typing as npt
+from dolfinx import fem, la
 from mpi4py import MPI
 
 from crms_fenicsx.cabling.cables.clamping import divide, meetings, named
 from crms_fenicsx.cabling.cables.crossings import arrange
 from crms_fenicsx.cabling.cables.points_on_edges import NodeTable
 from crms_fenicsx.cabling.cables.strip import EMPTY, Strip, StripShape, cells_at, grown
+from crms_fenicsx.foundation.dofs.layout import edge_ends
 from crms_fenicsx.foundation.meshes.triangles import norm
 from crms_fenicsx.foundation.runtime import checks
-from crms_fenicsx.foundation.runtime.arrays import Array
+from crms_fenicsx.foundation.runtime.arrays import Array, Indices
 from crms_fenicsx.foundation.runtime.checks import counted
 from crms_fenicsx.foundation.runtime.errors import InputError, NetWarning, as_text
 from crms_fenicsx.model.cable import HOLDS, Clamp
 from crms_fenicsx.model.cable_state import CableState, Crossing
 from crms_fenicsx.model.laid_cable import LaidCable
-from crms_fenicsx.model.membrane import Membrane
-from crms_fenicsx.model.tolerances import TOL
+from crms_fenicsx.model.membrane import COMPONENTS, Marker, Membrane
+from crms_fenicsx.model.tolerances import SAME_PLACE, TOL
 
 
 @dataclass(frozen=True)
@@ -229,6 +231,48 @@ class CableNet:
             raise InputError(f"unclamp: there is no such clamp; the scene has {names}.")
         self.clamps = tuple(clamp for clamp in self.clamps if clamp not in gone)
         self.arrange_crossings()
+
+    def release(self, where: str | Marker, directions: str) -> None:
+        """Release vertices of the membrane, and edges over their length, but for what edges that
+        stay held have in common with them. Collective."""
+        membrane, dofs, comm = self.membrane, self.membrane.vertices(where), self.membrane.comm
+        self._refuse_anchors_at(where, dofs[membrane.held[dofs].any(axis=1)])
+        edges: Indices = np.zeros(0, dtype=np.int32)
+        if isinstance(where, str) and where in membrane.mesh.edges:
+            edges = membrane.mesh.edges[where]
+        if self.cables and comm.allreduce(int(membrane.held_edges[edges].sum())):
+            raise InputError(
+                f"release: the edge {where!r} would be released after cables have been laid, which "
+                "slide along held edges without folding them; release edges first."
+            )
+        staying, kept = membrane.held_edges.copy(), fem.Function(membrane.V)
+        staying[edges] = False
+        kept.x.array.reshape(-1, 3)[edge_ends(membrane.V)[staying]] = 1.0
+        kept.x.scatter_reverse(la.InsertMode.add)
+        kept.x.scatter_forward()
+        dofs = dofs[kept.x.array.reshape(-1, 3)[dofs, 0] == 0.0]
+        marks = [k for x, k in COMPONENTS.items() if x in directions]
+        if not comm.allreduce(int(membrane.held[dofs][:, marks].sum())):
+            raise InputError(
+                f"release: {where!r} is not held in {directions!r}, or only by edges that stay "
+                "held; release these."
+            )
+        membrane.held[np.ix_(dofs, np.array(marks))] = False
+        membrane.held_edges[edges] = False
+
+    def _refuse_anchors_at(self, where: str | Marker, dofs: Indices) -> None:
+        """Refuse the release of vertices at which cables have anchors of their own. Collective."""
+        membrane = self.membrane
+        free = np.concatenate(membrane.comm.allgather(membrane.positions()[dofs]))
+        for cable in self.cables:
+            for k in (0, -1):
+                ways = norm(free - cable.line[k])
+                anchored = cable.state.nodes[k].kind == "anchor"
+                if anchored and ways.min(initial=np.inf) <= SAME_PLACE * membrane.size:
+                    raise InputError(
+                        f"release: {cable.name!r} has an anchor of its own at {where!r}, which "
+                        "would stay; hold the place by bars, which scene.remove_bar removes."
+                    )
 
     def _cables(self, call: str, cables: Sequence[LaidCable | str]) -> list[LaidCable]:
         """Check and return two or more different cables."""

@@ -9,7 +9,7 @@ import numpy as np
 from crms_fenicsx.cabling.cables.cable_net import CableNet
 from crms_fenicsx.energy.terms.pressure import gain, moved_volume, rim_of, volume_change
 from crms_fenicsx.foundation.runtime.arrays import Array, Integers, pointers, runs
-from crms_fenicsx.foundation.surface.polygons import Polygons, best_fan, fan_facets
+from crms_fenicsx.foundation.surface.polygons import Polygons, best_fans, fan_facets
 
 
 @dataclass(frozen=True)
@@ -78,17 +78,12 @@ def current_surface(net: CableNet) -> CurrentSurface:
     shape = _folded_shape(net)
     n = net.membrane.mesh.mesh.topology.index_map(2).size_local
     plain = np.setdiff1d(np.arange(n), shape.cells)
-    triangles = [np.asarray(net.membrane.V.dofmap.list[plain], dtype=np.int64)]
-    parents = [plain]
-    inner: list[Integers] = [np.empty((0, 2), dtype=np.int64)]
+    uncut = np.asarray(net.membrane.V.dofmap.list[plain], dtype=np.int64)
     starts, corners, cells = shape.pieces
-    for cell, polygon in zip(cells, np.split(corners, starts[1:-1]), strict=False):
-        fan = best_fan(shape.points, [int(k) for k in polygon])
-        triangles.append(fan)
-        parents.append(np.full(len(fan), cell))
-        inner.append(fan[1:, :2])
-    joined = map(np.concatenate, (triangles, parents, inner))
-    return CurrentSurface(shape.points, shape.stress_free, *joined)
+    fans, polygons = best_fans(shape.points, starts, corners)
+    inner = fans[1:][polygons[1:] == polygons[:-1], :2]  # each but a fan's first begins inside
+    triangles, parents = np.concatenate([uncut, fans]), np.concatenate([plain, cells[polygons]])
+    return CurrentSurface(shape.points, shape.stress_free, triangles, parents, inner)
 
 
 def gained_volume(net: CableNet) -> float:

@@ -1,26 +1,31 @@
 """Cables side by side along lines of the mesh: which vertices face which cables, and what presses.
 
 Of two cables those of the one with more vertices, or the first, face the nearest ones of the other.
-Cables that have a common vertex do not face each other: there one lies on top.
+Cables that have a common vertex lie on each other there until, on the mesh as given, they are
+farther apart than both radii. Only vertices beyond face the other cable, where both run within 30
+degrees of each other: cables of a net part at once where they cross.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from mpi4py import MPI
 
 from crms_fenicsx.cabling.cables.cable_net import CableNet
 from crms_fenicsx.cabling.cables.element_tables import stiffest
 from crms_fenicsx.cabling.cables.points_on_edges import VERTEX, NodeTable, positions_of
 from crms_fenicsx.cabling.cables.strip import NOBODY, StripShape
 from crms_fenicsx.energy.terms.side_contact import Facing
-from crms_fenicsx.foundation.meshes.triangles import norm
+from crms_fenicsx.foundation.meshes.triangles import closest_on_segments, dot, norm
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers, pointers, runs
 from crms_fenicsx.foundation.runtime.errors import InputError, as_text
 from crms_fenicsx.foundation.surface.closest_point import Balls
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.materials import MembraneMaterial
+from crms_fenicsx.model.membrane import Membrane
 from crms_fenicsx.model.tolerances import SAME_PLACE
 
 BESIDE = 2
@@ -58,7 +63,9 @@ def facing_on_mesh(
     np.maximum.at(sizes, inside, longest[:, None])
     at = np.searchsorted(strip.vertices, nodes.support[:, 0]).clip(0, len(strip.vertices) - 1)
     places = shape.stress_free[at]
-    found = _facing(cables, _is_round(cables), nodes, places, cells * sizes[at], cells)
+    chosen = _is_round(cables)
+    meeting = Meeting.of(net.membrane, cables, chosen, nodes)
+    found = _facing(cables, chosen, nodes, places, cells * sizes[at], cells, meeting)
     found.stiffness[:] = stiffnesses(found, nodes, shape, materials)
     return found
 
@@ -77,7 +84,7 @@ def stiffnesses(
 
 def _facing(
     cables: Sequence[LaidCable], chosen: Booleans, nodes: NodeTable, places: Array, reach: Array,
-    beside: int,
+    beside: int, meeting: Meeting,
 ) -> Facing:  # fmt: skip
     """Vertices of the chosen cables (n,) that face others of them within `reach` (m,) of their
     least distance, for nodes at `places` (m, 3): the nearest vertex and some `beside` it."""
@@ -89,8 +96,11 @@ def _facing(
     finer = np.argsort(np.lexsort((np.arange(len(cables)), -count)))
     i, j = Balls(X, np.zeros(len(X))).within(X, radii[cable] + most + reach[on])
     least, away = radii[cable[i]] + radii[cable[j]], norm(X[i] - X[j])
-    near = (away <= least + reach[on[i]]) & ~_meet(chosen, nodes)[cable[i], cable[j]]
-    near &= (np.bincount(cable)[cable[j]] > 1) & (finer[cable[i]] < finer[cable[j]])
+    near = (away <= least + reach[on[i]]) & (np.bincount(cable)[cable[j]] > 1)
+    near &= finer[cable[i]] < finer[cable[j]]
+    ways = _ways(X, cable)
+    near &= ~meeting.pairs[cable[i], cable[j]] | (np.abs(dot(ways[i], ways[j])) > np.sqrt(0.75))
+    near[near] = ~meeting.lies_on(nodes, on[i[near]], cable[j[near]], least[near])
     order = np.flatnonzero(near)[np.lexsort((away[near], cable[j[near]], i[near]))]
     pair = i[order] * len(cables) + cable[j[order]]
     order = order[np.flatnonzero(np.diff(pair, prepend=-1))]  # the nearest of each cable
@@ -105,13 +115,78 @@ def _facing(
     return Facing(begins.astype(np.int32), rows, least, np.zeros(len(least)))
 
 
-def _meet(chosen: Booleans, nodes: NodeTable) -> Booleans:
-    """Whether two of the chosen cables have a common vertex, (n, n); a cable meets itself."""
-    rows = np.flatnonzero(chosen[nodes.cable] & (nodes.size == 1))
-    ids, of = np.unique(nodes.support[rows, 0], return_inverse=True)
-    has = np.zeros((len(chosen), len(ids)), dtype=np.float32)
-    has[nodes.cable[rows], of] = 1.0
-    return np.asarray(has @ has.T > 0.0) | np.eye(len(chosen), dtype=bool)
+def _ways(places: Array, cable: Integers) -> Array:
+    """Directions (n, 3) of chords between neighbours at places (n, 3) of cables (n,)."""
+    same = np.diff(cable) == 0
+    k = np.arange(len(cable))
+    chords = places[k + np.append(same, False)] - places[k - np.append(False, same)]
+    return chords / np.maximum(norm(chords), 1e-300)[:, None]
+
+
+@dataclass(frozen=True)
+class Meeting:
+    """Cables with common vertices: whether each two have some (n, n), a cable not with itself, and
+    the places (m, 3) of their nodes at vertices on the mesh as given."""
+
+    pairs: Booleans
+    places: Array
+
+    @classmethod
+    def of(
+        cls, membrane: Membrane, cables: Sequence[LaidCable], chosen: Booleans, nodes: NodeTable
+    ) -> Meeting:
+        """Those of the chosen cables (n,). Collective."""
+        rows = np.flatnonzero(chosen[nodes.cable] & (nodes.size == 1))
+        ids, of = np.unique(nodes.support[rows, 0], return_inverse=True)
+        has = np.zeros((len(cables), len(ids)), dtype=np.float32)
+        has[nodes.cable[rows], of] = 1.0
+        pairs = np.asarray(has @ has.T > 0.0) & ~np.eye(len(cables), dtype=bool)
+        places = np.full((len(nodes.cable), 3), np.nan)
+        if pairs.any():
+            own = membrane.vertex_ids[: membrane.V.dofmap.index_map.size_local]
+            _, here, at = np.intersect1d(own, ids, return_indices=True)
+            given = np.zeros((len(ids), 3))
+            given[at] = membrane.given[here]
+            membrane.comm.Allreduce(MPI.IN_PLACE, given)
+            places[rows] = given[of]
+        return cls(pairs, places)
+
+    def lies_on(self, nodes: NodeTable, rows: Integers, others: Integers, least: Array) -> Booleans:
+        """Whether vertices in some rows (k,) belong to where their cables lie on others (k,)."""
+        found = np.zeros(len(rows), dtype=bool)
+        meet = np.flatnonzero(self.pairs[nodes.cable[rows], others])
+        for pair in np.unique(np.stack([nodes.cable[rows[meet]], others[meet]], axis=1), axis=0):
+            own, its = self._rows(nodes, *pair)
+            some = meet[(nodes.cable[rows[meet]] == pair[0]) & (others[meet] == pair[1])]
+            found[some] = np.isin(rows[some], own[self._together(nodes, own, its, least[some[0]])])
+        return found
+
+    def never_part(self, nodes: NodeTable, radii: Array) -> list[tuple[int, int]]:
+        """Cables that lie on others from end to end, of radii (n,), and these; not those along the
+        same vertices."""
+        found = []
+        for c, d in ((int(c), int(d)) for c, d in np.argwhere(self.pairs)):
+            own, its = self._rows(nodes, c, d)
+            common = np.isin(nodes.support[own, 0], nodes.support[its, 0])
+            if not common.all() and self._together(nodes, own, its, radii[c] + radii[d]).all():
+                found.append((c, d))
+        return found
+
+    @staticmethod
+    def _rows(nodes: NodeTable, *cables: int) -> list[Integers]:
+        """Rows of the nodes at vertices of each of some cables."""
+        rows = [np.arange(*nodes.starts[c : c + 2]) for c in cables]
+        return [own[nodes.size[own] == 1] for own in rows]
+
+    def _together(self, nodes: NodeTable, own: Integers, its: Integers, least: float) -> Booleans:
+        """Whether each of a cable's rows (k,) belongs to a stretch with common vertices in which it
+        is no farther from the rows of another one than `least`."""
+        X, Y = self.places[own], self.places[its]
+        common = np.isin(nodes.support[own, 0], nodes.support[its, 0])
+        away = closest_on_segments(Y[:-1], np.diff(Y, axis=0), X[:, None])[2].min(axis=1)
+        near = common | (away <= least)
+        stretch = np.cumsum(np.diff(near, prepend=near[:1]))
+        return np.asarray(near & np.isin(stretch, stretch[common]))
 
 
 def faces_all(known: Facing, near: Facing) -> bool:
@@ -168,9 +243,11 @@ def forces_beside(net: CableNet, materials: Iterable[MembraneMaterial]) -> dict[
     return dict(zip(net.cables, np.split(forces, net.nodes.starts[1:-1]), strict=True))
 
 
-def overlaps(cables: Sequence[LaidCable]) -> dict[LaidCable, float]:
-    """By which part of their least distance each taut cable and one beside it are too near."""
-    nodes, places, found = _facing_in_space(cables, _is_round(cables))
+def overlaps(net: CableNet) -> dict[LaidCable, float]:
+    """By which part of their least distance each taut cable and one beside it are too near.
+    Collective."""
+    cables = net.cables
+    nodes, places, found = _facing_in_space(net.membrane, cables, _is_round(cables))
     parts = 1.0 - _gaps(found, places)[2] / found.least
     worst = dict[LaidCable, float]()
     for k in np.flatnonzero(parts > 0.0):
@@ -181,14 +258,15 @@ def overlaps(cables: Sequence[LaidCable]) -> dict[LaidCable, float]:
 
 
 def _facing_in_space(
-    cables: Sequence[LaidCable], chosen: Booleans
+    membrane: Membrane, cables: Sequence[LaidCable], chosen: Booleans
 ) -> tuple[NodeTable, Array, Facing]:
     """Nodes of cables, their places, and vertices that face others of the chosen ones (n,) which
-    are too near where they are now."""
+    are too near where they are now. Collective."""
     nodes, places = NodeTable.of(cables), positions_of(cables)
     inner = (nodes.kind[1:] == VERTEX) & (nodes.kind[:-1] == VERTEX) & (np.diff(nodes.cable) == 0)
     reach = norm(np.diff(places, axis=0)).max(where=inner, initial=0.0)
-    found = _facing(cables, chosen, nodes, places, np.full(len(places), reach), BESIDE)
+    meeting = Meeting.of(membrane, cables, chosen, nodes)
+    found = _facing(cables, chosen, nodes, places, np.full(len(places), reach), BESIDE, meeting)
     return nodes, places, found
 
 
@@ -202,17 +280,16 @@ def side_forces(facing: Facing, places: Array) -> Array:
     return forces
 
 
-def refuse_too_near(cables: Sequence[LaidCable], new: int) -> None:
-    """Refuse cables of which one of the last `new` lies nearer to another than both radii."""
+def refuse_too_near(membrane: Membrane, cables: Sequence[LaidCable], new: int) -> None:
+    """Refuse cables of which one of the last `new` lies nearer to another than both radii, but for
+    stretches with common vertices next to which they part. Collective."""
     chosen = _is_round(cables, slack=True)
     if np.count_nonzero(chosen) < 2 or not chosen[-new:].any():
         return
-    nodes, places, found = _facing_in_space(cables, chosen)
-    if not len(found.least):
-        return
+    nodes, places, found = _facing_in_space(membrane, cables, chosen)
     away = _gaps(found, places)[2]
-    k = int(np.argmin(away / found.least))
-    if away[k] < (1.0 - SAME_PLACE) * found.least[k]:
+    k = int(np.argmin(away / found.least)) if len(away) else 0
+    if len(away) and away[k] < (1.0 - SAME_PLACE) * found.least[k]:
         v, a = found.blocks[found.pointers[k] : found.pointers[k] + 2]
         one, other = (cables[int(nodes.cable[row])] for row in (v, a))
         raise InputError(
@@ -220,4 +297,15 @@ def refuse_too_near(cables: Sequence[LaidCable], new: int) -> None:
             f"{as_text(places[v])}, but with the diameters {one.cable.diameter:g} and "
             f"{other.cable.diameter:g} they touch at {found.least[k]:.4g}; lay them further apart, "
             "or without diameters, which then have no contact."
+        )
+    radii = np.array([cable.cable.diameter / 2 for cable in cables])
+    for c, d in Meeting.of(membrane, cables, chosen, nodes).never_part(nodes, radii):
+        if max(c, d) < len(cables) - new:
+            continue
+        raise InputError(
+            f"lay_cable: {cables[c].name!r} and {cables[d].name!r} have a common vertex, and would "
+            f"nowhere lie {radii[c] + radii[d]:.4g} from each other, at which they touch with the "
+            f"diameters {2 * radii[c]:g} and {2 * radii[d]:g}: they would have no contact. Lay "
+            "them further apart; on smaller cells if their ends, which nearly meet, have become "
+            "one; or without diameters."
         )

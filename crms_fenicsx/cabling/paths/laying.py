@@ -188,7 +188,7 @@ def lay_along(
         )
         for one, way in zip(lines, ways, strict=True)
     )
-    check_distance([*net.cables, *laid], len(laid))
+    check_distance(membrane, [*net.cables, *laid], len(laid))
     net.add(laid, strip)
     return laid
 

@@ -217,12 +217,13 @@ def check_law(
             checks.positive(f"lay_cable: {name!r} with {key}", value)
 
 
-def check_distance(cables: Sequence[LaidCable], new: int) -> None:
-    """Check that the last `new` cables lie as far from others as their diameters need."""
+def check_distance(membrane: Membrane, cables: Sequence[LaidCable], new: int) -> None:
+    """Check that the last `new` cables lie as far from others as their diameters need.
+    Collective."""
     if any(one.cable.diameter > 0.0 for one in cables[-new:]):
         from crms_fenicsx.cabling.contact.side_by_side import refuse_too_near
 
-        refuse_too_near(cables, new)
+        refuse_too_near(membrane, cables, new)
 
 
 def _follows_free_edge(path: Path, below: MembraneBelow) -> bool:

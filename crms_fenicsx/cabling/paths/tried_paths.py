@@ -95,5 +95,8 @@ class TriedPaths:
         return self.L0.get(cable.name) == cable.L0 and not self.has_moved(cable)
 
     def uses_geodesic(self, cable: LaidCable) -> bool:
-        """Whether geodesics may still propose paths of a cable in this load step."""
-        return self.misled < (BUDGET.misled_at_crossings if is_crossed(cable) else BUDGET.misled)
+        """Whether geodesics may still propose paths of a cable in this load step: not of one that
+        has not moved since the last one, which ended with the budget that this one begins with."""
+        return self.has_moved(cable) and self.misled < (
+            BUDGET.misled_at_crossings if is_crossed(cable) else BUDGET.misled
+        )

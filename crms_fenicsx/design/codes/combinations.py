@@ -10,6 +10,7 @@ from typing import Any
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arguments import checked
 from crms_fenicsx.foundation.runtime.errors import InputError
+from crms_fenicsx.model.combination_table import CombinationTable, Line
 from crms_fenicsx.model.sealed_air import FanControl
 from crms_fenicsx.model.strengths import SERVICE, fits
 
@@ -97,7 +98,7 @@ def combinations(
     pressure: Pressure | None = None,
     accidents: Mapping[str, Mapping[str, object]] | None = None,
     also: Mapping[str, object] | None = None,
-) -> dict[str, dict[str, object]]:
+) -> CombinationTable:
     """Return a standard's table of load combinations, for `Solver.combine`.
 
     All permanent loads share one factor, the unfavourable or the favourable one. One variable load
@@ -133,9 +134,10 @@ def combinations(
 
     Returns
     -------
-    dict
-        Factors of the loads and the limit "state", by names of combinations such as "ULS: 1.35
-        weight + 1.5 snow + 0.9 wind x".
+    CombinationTable
+        A dictionary: factors of the loads and the limit "state", by names of combinations such as
+        "ULS: 1.35 weight + 1.5 snow + 0.9 wind x". Reports of these combinations list the partial
+        and combination factors, and what was left out of the table.
 
     Raises
     ------
@@ -180,11 +182,66 @@ def combinations(
             raised = fans(factors)
             given |= {} if raised is None else {"pressure": raised}
             table[f"{one}: {' + '.join(words) or 'no load'}"] = {**given, **also, **happens[event]}
-    return table
+    actions = _actions(rules.name, permanent, kinds, states, tight)
+    return CombinationTable(table, actions, tuple(_rule_of(rules.name, one) for one in states))
 
 
 PRESTRESSED = ("ULS", "ULS 6.10a/b", "erection", "strength")
 """States with a partial factor of the prestress."""
+
+RULES: dict[str, tuple[str, str, str, str]] = {
+    "ULS": ("6.4.3.2, (6.10), table A1.2(B)", "1.35 or 1", "1.5", "1.5 psi_0"),
+    "ULS 6.10a/b": (
+        "6.4.3.2, (6.10a) and (6.10b), table A1.2(B)",
+        "1.35 or 1; b: 0.85 x 1.35 or 1",
+        "1.5 psi_0; b: 1.5",
+        "1.5 psi_0",
+    ),
+    "erection": ("6.4.3.2, (6.10), table A1.2(B)", "1.35 or 1", "1.5", "1.5 psi_0"),
+    "accidental": ("6.4.3.3, (6.11b), table A1.3", "1", "psi_1", "psi_2"),
+    "characteristic": ("6.5.3, (6.14b), table A1.4", "1", "1", "psi_0"),
+    "frequent": ("6.5.3, (6.15b), table A1.4", "1", "psi_1", "psi_2"),
+    "quasi-permanent": ("6.5.3, (6.16b), table A1.4", "1", "psi_2", "psi_2"),
+    "strength": ("2.3.1", "1.4, 1.2 or 0.9", "by load", "by load"),
+    "allowable stress": ("2.4.1", "1 or 0.6", "by load", "by load"),
+}
+"""Clauses of limit states, and factors of permanent, leading and accompanying loads, as text."""
+
+
+def _rule_of(standard: str, state: str) -> Line:
+    clause, *factors = RULES[state]
+    return state, f"{standard}, {clause}", *factors
+
+
+def _actions(
+    standard: str, permanent: Sequence[str], kinds: Mapping[str, str], states: Sequence[str],
+    prestress: Sequence[float],
+) -> tuple[Line, ...]:  # fmt: skip
+    """Rows of `CombinationTable.actions`."""
+    european, table = standard == en1990.name, f"{standard}, table A1.2(B)"
+    clause = ", ".join(RULES[one][0] for one in states)
+    none = (None,) * 3
+    ultimate = any(one in PRESTRESSED for one in states)
+    steady, first = ("1.35 or 1", "1.5") if ultimate else ("1", "1")
+    if not european:
+        steady, table = "; ".join(RULES[one][1] for one in states), f"{standard}, {clause}"
+    found: list[Line] = [(name, "permanent", steady, *none, table) for name in permanent]
+    if any(one != 1.0 for one in prestress):
+        given = " or ".join(f"{one:g}" for one in prestress)
+        found.append(("prestress", "prestress", given, *none, "gamma_P as given"))
+    for name, kind in kinds.items():
+        if european:
+            source = f"{standard}, table A1.1{' and table A1.2(B)' if ultimate else ''}"
+            found.append((name, kind, first, *PSI[kind], source))
+        else:
+            found.append((name, kind, _factors_of(standard, kind, states), *none, table))
+    return tuple(found)
+
+
+def _factors_of(standard: str, kind: str, states: Sequence[str]) -> str:
+    """All factors of a kind of load in ASCE 7, the largest first, as text."""
+    rows = [row for state in states for _, row in _american(standard, state, {kind: kind})]
+    return " or ".join(f"{x:g}" for x in sorted({x for row in rows for x in row.values()})[::-1])
 
 
 def _rule(

@@ -6,6 +6,15 @@ returns the solver.
 
 from crms_fenicsx.design.study.adaptivity import adapt, marked_cells
 from crms_fenicsx.design.study.convergence import Convergence, Quantity, convergence
+from crms_fenicsx.design.study.governing import combine_governing
 from crms_fenicsx.design.study.groups import combine_in_groups
 
-__all__ = ["Convergence", "Quantity", "adapt", "combine_in_groups", "convergence", "marked_cells"]
+__all__ = [
+    "Convergence",
+    "Quantity",
+    "adapt",
+    "combine_governing",
+    "combine_in_groups",
+    "convergence",
+    "marked_cells",
+]

@@ -14,6 +14,7 @@ from crms_fenicsx.foundation.meshes.membrane_mesh import MembraneMesh, redistrib
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arguments import Count, File, collective
 from crms_fenicsx.foundation.runtime.errors import InputError, raised_together
+from crms_fenicsx.model.combination_table import CombinationTable
 
 if TYPE_CHECKING:
     from crms_fenicsx.results.output.report.case import Case
@@ -103,6 +104,7 @@ def combine_in_groups(
     with raised_together(comm):
         solver = built("combine_in_groups", build, copy)
         checked_combinations(solver.scene, combinations)
+    table = combinations if isinstance(combinations, CombinationTable) else None
     scene, combinations = solver.scene, checks.in_one_order(comm, combinations)
     checks.same(
         comm, "combine_in_groups: build", cells=scene.mesh.mesh.topology.index_map(2).size_global,
@@ -112,6 +114,7 @@ def combine_in_groups(
     mine = {name: combinations[name] for name in list(combinations)[number::groups]}
     with raised_together(comm):
         states = solver.combine(mine, steps=steps) if mine else {}
+        states = {name: replace(one, table=table) for name, one in states.items()}
         cases = results_of(solver, states) if mine else []
     every = _joined(comm, own, cases, [BASE, *combinations])
     if plan is not None:

@@ -149,6 +149,12 @@ def own(call: str, kind: str, one: object, ones: Iterable[object]) -> None:
         raise InputError(f"{call}: {one!r} is not a {kind} of this scene.")
 
 
+def directions(call: str, given: object) -> None:
+    """Raise an `InputError` if directions are no letters of x, y and z."""
+    if not isinstance(given, str) or not given or set(given) - set("xyz"):
+        raise InputError(f"{call}: directions = {given!r} must be made of the letters x, y and z.")
+
+
 def options_prefix(what: str, value: object) -> str:
     """Return a PETSc options prefix; `what` and errors as for `finite`."""
     if not isinstance(value, str) or value.startswith("-"):

@@ -144,14 +144,22 @@ def _split(starts, corners, first, n, points, begin, end, part):  # type: ignore
     return False
 
 
-def best_fan(points: Array, corners: list[int]) -> Integers:
-    """Fan triangulation (n, 3) of a polygon from the corner that maximises the smallest area."""
+def best_fans(points: Array, starts: Integers, corners: Integers) -> tuple[Integers, Integers]:
+    """Fan triangulations (n, 3) of polygons, each from the corner that maximises the smallest area,
+    and the polygon of each triangle (n,)."""
     # a fan from a corner beside a straight angle has a degenerate triangle
-    rings = [corners[k:] + corners[:k] for k in range(len(corners))]
-    fans = np.array(
-        [[(r[0], r[i], r[i + 1]) for i in range(1, len(r) - 1)] for r in rings], dtype=np.int64
-    )
-    sides = points[fans[..., 1:]] - points[fans[..., :1]]
-    areas = np.linalg.norm(np.cross(sides[..., 0, :], sides[..., 1, :]), axis=-1)
-    best: Integers = fans[np.argmax(areas.min(axis=1))]
-    return best
+    sizes = np.diff(starts)
+    triangles: list[Integers] = [np.zeros((0, 3), dtype=np.int64)]
+    polygons: list[Integers] = [np.zeros(0, dtype=np.int64)]
+    for n in np.unique(sizes):
+        own, turns = np.flatnonzero(sizes == n), np.arange(n)
+        rings = corners[starts[own][:, None, None] + (turns[:, None] + turns) % n]
+        apex = np.broadcast_to(rings[..., :1], rings[..., 2:].shape)
+        fans = np.stack([apex, rings[..., 1:-1], rings[..., 2:]], axis=-1)  # (p, n, n - 2, 3)
+        sides = points[fans[..., 1:]] - points[fans[..., :1]]
+        areas = np.linalg.norm(np.cross(sides[..., 0, :], sides[..., 1, :]), axis=-1)
+        best = areas.min(axis=2).argmax(axis=1)
+        triangles.append(fans[np.arange(len(own)), best].reshape(-1, 3))
+        polygons.append(np.repeat(own, n - 2))
+    order = np.argsort(np.concatenate(polygons), kind="stable")
+    return np.concatenate(triangles)[order], np.concatenate(polygons)[order]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -17,6 +18,7 @@ from mpi4py import MPI
 from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.analysis.scene.state import SceneState
 from crms_fenicsx.analysis.steps.step_record import Step
+from crms_fenicsx.analysis.verification.report import Verification
 from crms_fenicsx.cabling.cables.strip import Strip, cells_at
 from crms_fenicsx.cabling.paths.tried_paths import TriedPaths
 from crms_fenicsx.energy.terms.kinematics import warp_directions
@@ -45,7 +47,7 @@ from crms_fenicsx.results.checkpoint.codec import Plain, decode, encode
 STATE = "state.json"
 POSITIONS = "positions"
 """File name of the stress-free vertices of the mesh as given."""
-FORMAT = "crms_fenicsx checkpoint 15"
+FORMAT = "crms_fenicsx checkpoint 16"
 """Format mark of a checkpoint; its number grows with each change of the content."""
 
 
@@ -67,6 +69,7 @@ class Contents:
     state: Plain  # a `SceneState`
     state_version: int  # of the scene's versions
     in_equilibrium: bool  # whether the scene was unchanged since the last load step
+    verification: Verification | None  # of that step's state
     run: Run
     # call of `Solver.advance` that the checkpoint belongs to, if any
     call: Plain | None
@@ -75,20 +78,34 @@ class Contents:
 def save(folder: str | Path, scene: Scene, run: Run, call: Plain | None = None) -> None:
     """Write a checkpoint; see `Solver.save`. Collective."""
     with replaced_folder(Path(folder).resolve(), scene.comm, STATE) as partial:
-        storage = _SceneStorage(partial, scene)
+        storage, found = _SceneStorage(partial, scene), scene.versions.current.equilibrium
+        settled, before = scene.in_equilibrium(), run.steps[:-1]
+        last = [replace(x, verification=_finite(x.verification)) for x in run.steps[-1:]]
         contents = Contents(
             fingerprint(scene),
             storage.write(POSITIONS, Rows.VERTICES, scene.membrane.given),
             encode(scene.state, storage),
             scene.versions.state_version,
-            scene.in_equilibrium(),
-            replace(run, steps=[replace(step, verification=None) for step in run.steps]),
+            settled,
+            _finite(found.verification) if settled and found is not None else None,
+            # the checks of all steps in all checkpoints of a long run would take much room
+            replace(run, steps=[*(replace(one, verification=None) for one in before), *last]),
             call,
         )
         data = encode(contents)
         with raised_together(scene.comm), explained(partial / STATE):
             if scene.comm.rank == 0:
                 (partial / STATE).write_text(signed(data), encoding="utf-8")
+
+
+def _finite(found: Verification | None) -> Verification | None:
+    """Checks whose values JSON can write; what is infinite fails as before."""
+    if found is None:
+        return None
+    most = sys.float_info.max
+    return replace(
+        found, checks=tuple(replace(x, value=min(x.value, most)) for x in found.checks)
+    )  # fmt: skip
 
 
 class _SceneStorage:
@@ -319,7 +336,7 @@ def restore(folder: Path, contents: Contents, scene: Scene) -> Run:
     scene.versions.change_model()
     scene.versions.change_state(above=contents.state_version)
     if contents.in_equilibrium:
-        scene.versions.settle(scene.membrane.owned_u, None)
+        scene.versions.settle(scene.membrane.owned_u, contents.verification)
     else:
         scene.versions.unsettle()
     return contents.run

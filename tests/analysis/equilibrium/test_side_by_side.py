@@ -24,7 +24,7 @@ from crms_fenicsx import (
 )
 from crms_fenicsx.analysis.equilibrium.cable_contribution import CableContribution
 from crms_fenicsx.analysis.verification.row_checks import row_checks
-from crms_fenicsx.cabling.contact.side_by_side import overlaps
+from crms_fenicsx.cabling.contact.side_by_side import facing_on_mesh, overlaps
 
 FOIL = IsotropicMembrane(E=300.0, nu=0.25, thickness=0.08)
 STIFF = IsotropicMembrane(E=1e3, nu=0.3, thickness=1.0, wrinkling=False)
@@ -191,15 +191,102 @@ def test_laid_too_near(comm: MPI.Intracomm) -> None:
     scene.lay_cable(Cable(EA, diameter=0.39), along="B", name="other")
 
 
-def test_cables_that_share_a_vertex_may_be_near(comm: MPI.Intracomm) -> None:
-    """Where cables cross, or leave one corner, one lies on top: they do not touch side by side."""
+def belts(
+    comm: MPI.Intracomm, diameter: float, *, k: int = 20, most: float = 8.0
+) -> tuple[Scene, list[LaidCable]]:
+    """Two lines between the same two points of a square's rim, `most` beside the straight line in
+    their middles."""
+    a, at, numbers = round(0.3 * k), np.linspace(0.0, SIDE, k + 1), numbered(k + 1, k + 1)
+    points, cells = grid(at, at, other=alternating(k, k) ^ (a % 2 == 1))
+    for i, x in enumerate(at):
+        aside = most * np.sin(np.pi * x / SIDE) if 0 < i < k else SIDE / k
+        y = [0.0, 30.0 - aside, 30.0, 30.0 + aside, SIDE]
+        points[numbers[i], 1] = np.interp(np.arange(k + 1), [0, a - 1, a, a + 1, k], y)
+    edges = {}
+    for name, row in (("A", a - 1), ("B", a + 1)):
+        line = np.concatenate([numbers[:1, a], numbers[1:-1, row], numbers[-1:, a]])
+        edges[name] = np.stack([line[:-1], line[1:]], axis=1)
+    scene = Scene(meshes.from_arrays(comm, points, cells, edges=edges), FOIL)
+    scene.fix("boundary")
+    rope = Cable(EA, diameter=diameter)
+    return scene, [scene.lay_cable(rope, along=name, L0=SIDE) for name in edges]
+
+
+@pytest.mark.ranks
+@pytest.mark.parametrize("diameter", [0.5, 0.05])
+def test_belts_from_common_anchors(comm: MPI.Intracomm, diameter: float) -> None:
+    """They touch from their first vertices beyond the anchors on, where the cables part by the
+    wedge between them: T D / 2 l on the first vertex at a distance l."""
+    scene, cables = belts(comm, diameter)
+    solver = Solver(scene, rtol=1e-10)
+    step = solver.advance(pressure=PRESSURE)
+    assert step.verification.passed and not step.verification.doubtful
+    gaps = np.linalg.norm(cables[0].line[1:-1] - cables[1].line[1:-1], axis=1) / diameter
+    assert 0.99 < gaps.min() and gaps.max() < 1.0002 and (gaps[1:-1] > 0.9998).all()
+    known = [cable.tension for cable in cables]
+    forces = [solver.contact_forces(cable).beside[:, 1] for cable in cables]
+    assert sum(forces[0]) == pytest.approx(-sum(forces[1]), rel=1e-12)
+    for cable, force, sign in zip(cables, forces, (-1.0, 1.0), strict=True):
+        along = float(np.median(sign * force[3:-3]))
+        first = float(np.linalg.norm(cable.line[1] - cable.line[0]))
+        wedge = cable.tension * diameter / 2 / first
+        assert 0.98 * wedge < sign * force[1] < 1.02 * wedge + along
+        assert 0.08 < along < 0.15 and np.ptp(force[3:-3]) < 0.4 * along
+    solver.advance(pressure=PRESSURE / 4, L0={cables[0]: 1.02 * SIDE})
+    assert not solver.contact_forces(cables[0]).beside[2:-2].any()
+    solver.advance(pressure=PRESSURE, L0=dict.fromkeys(cables, SIDE))
+    assert [cable.tension for cable in cables] == pytest.approx(known, rel=1e-8)
+
+
+@pytest.mark.ranks
+def test_which_vertices_of_crossing_cables_face_each_other(comm: MPI.Intracomm) -> None:
+    """Of two cables from one corner those farther apart on the mesh than both radii, none of a
+    third one that crosses them at large angles: there one lies on top."""
+    D = 5.0
     lines = {"a": [(0.0, 0.0), (100.0, 30.0)], "b": [(0.0, 0.0), (100.0, 60.0)],
              "c": [(0.0, 90.0), (100.0, 20.0)]}  # fmt: skip
     scene = Scene(meshes.rectangle(comm, SIDE, SIDE, 10.0, lines=lines), FOIL)
     scene.fix("boundary")
     for name in lines:
-        scene.lay_cable(Cable(EA, diameter=5.0), along=name)
-    assert not overlaps(scene.cables)
+        scene.lay_cable(Cable(EA, diameter=D), along=name).update(taut=True)
+    assert not overlaps(scene.net)
+    nodes = scene.net.nodes
+    found = facing_on_mesh(scene.net, scene.materials.values())
+    rows, chains = found.blocks[found.pointers[:-1]], found.blocks
+    assert set(nodes.cable[chains]) == {0, 1} and len(set(nodes.cable[rows])) == 1
+    own = scene.cables[int(nodes.cable[rows[0]])].state.positions
+    way = np.array(lines["b" if nodes.cable[rows[0]] == 0 else "a"][1])
+    x, y = own[:, 0], own[:, 1]
+    away = np.abs(x * way[1] - y * way[0]) / np.hypot(*way)
+    beyond = np.flatnonzero((away > D) & (away < D + 10.0))
+    assert set(beyond) <= set(nodes.place[rows]) <= set(np.flatnonzero(away > D))
+    assert beyond[0] > 1  # some lie on the other cable
+
+
+@pytest.mark.ranks
+def test_belts_that_never_part(comm: MPI.Intracomm) -> None:
+    """They would have no contact anywhere, which is refused; two along one line are stacked."""
+    scene, cables = belts(comm, 0.5)
+    kept = scene.state
+    for cable in cables:
+        scene.remove(cable)
+    scene.lay_cable(Cable(EA, diameter=20.0), along="A", name="one")
+    kept = scene.state
+    with pytest.raises(InputError) as told:
+        scene.lay_cable(Cable(EA, diameter=13.0), along="B", name="other")
+    for words in (
+        "'one'",
+        "'other'",
+        "common vertex",
+        "16.5",
+        "20 and 13",
+        "no contact",
+        "smaller",
+    ):
+        assert words in str(told.value)
+    assert_same_state(scene.state, kept)
+    scene.lay_cable(Cable(EA, diameter=11.0), along="B", name="other")
+    scene.lay_cable(Cable(EA, diameter=20.0), along="A", name="on top")
 
 
 def test_diameter_across_the_cells(comm: MPI.Intracomm) -> None:

@@ -8,7 +8,17 @@ from cabled_square import sheet
 from mpi4py import MPI
 from scipy.optimize import root
 
-from crms_fenicsx import Bar, Cable, ConvergenceError, InputError, Scene, Solver, codes
+from crms_fenicsx import (
+    Bar,
+    Cable,
+    ConvergenceError,
+    InputError,
+    IsotropicMembrane,
+    Scene,
+    Solver,
+    codes,
+    meshes,
+)
 from crms_fenicsx.energy.minimization.minimizer import Minimizer
 from crms_fenicsx.energy.minimization.outcome import Outcome
 from crms_fenicsx.foundation.runtime.arrays import Array
@@ -80,6 +90,84 @@ def test_guys_are_tightened_one_after_the_other(
         assert one.step.verification is not None and one.step.verification.passed
     solver.restore(solver.stages[names[0]].snapshot)
     assert "prop" in forces(scene)
+
+
+@pytest.mark.ranks
+def test_a_crane_lets_go_of_a_mast(comm: MPI.Intracomm) -> None:
+    """The held top has what is missing to the balance; released, it moves until there is none."""
+    scene = sheet(comm, 2, side=1.0)
+    top = scene.add_joint(TOP, name="top", held="xyz")
+    for name, foot in FEET.items():
+        kind = Bar(EA=STIFFNESS[name], tension_only=name.startswith("guy"))
+        scene.add_bar(kind, foot, top, name=name)
+    solver = Solver(scene)
+    ways = {name: np.subtract(foot, TOP) for name, foot in FEET.items()}
+    L0 = {name: 0.999 * float(np.linalg.norm(way)) for name, way in ways.items()}
+    with solver.stage("on the crane"):
+        solver.advance(L0={bar: L0[bar.name] for bar in scene.bars})
+    pulls = sum(
+        STIFFNESS[name] * (1.0 / 0.999 - 1.0) * way / np.linalg.norm(way)
+        for name, way in ways.items()
+    )
+    assert top.reaction == pytest.approx(-np.asarray(pulls), rel=1e-9)
+    assert solver.reactions("top").total == pytest.approx(-np.asarray(pulls), rel=1e-9)
+    with solver.stage("crane away"):
+        scene.release("top")
+    assert forces(scene) == pytest.approx(by_hand(L0), rel=1e-6, abs=1e-6)
+    assert not top.held.any() and not top.reaction.any()
+    verified = solver.stages["crane away"].step.verification
+    assert verified is not None and verified.passed
+    solver.restore(solver.stages["on the crane"].snapshot)
+    assert top.held.all()
+
+
+@pytest.mark.ranks
+def test_a_strip_shrinks_when_its_end_is_released(comm: MPI.Intracomm) -> None:
+    """Its prestress goes: S + E (s^2 - 1) / 2 = 0 for the stretch s, as nothing contracts."""
+    E, S, width = 100.0, 3.0, 2.0
+    material = IsotropicMembrane(E=E, nu=0.0, thickness=1.0, prestress=S, wrinkling=False)
+    scene = Scene(meshes.rectangle(comm, 6.0, width, 0.5, structured=True), material)
+    for where, directions in (("left", "x"), ("right", "x"), ("boundary", "y")):
+        scene.fix(where, directions)
+    scene.fix(lambda x: x[2] < 1.0, "z")
+    solver = Solver(scene)
+    with solver.stage("clamped"):
+        pass
+    assert solver.reactions("right").total == pytest.approx((S * width, 0.0, 0.0), abs=1e-9)
+    with solver.stage("released"):
+        scene.release("right", "x")
+    moved = solver.results().function("displacement").x.array.reshape(-1, 3)[:, 0]
+    least = comm.allreduce(float(moved.min(initial=0.0)), op=MPI.MIN)
+    assert least == pytest.approx(6.0 * (np.sqrt(1.0 - 2.0 * S / E) - 1.0), rel=1e-7)
+    assert solver.reactions("left").total[0] == pytest.approx(0.0, abs=1e-6)
+    with pytest.raises(InputError, match="not held"):
+        scene.release("right", "x")
+
+
+@pytest.mark.ranks
+def test_what_edges_in_place_hold_stays_held(comm: MPI.Intracomm) -> None:
+    """Corners belong to two edges; cables with anchors of their own are named."""
+    scene = sheet(comm, 4, side=4.0)
+    n = comm.allreduce(int(scene.held[: scene.V.dofmap.index_map.size_local].all(axis=1).sum()))
+    scene.release("left")
+    left = comm.allreduce(int(scene.held[: scene.V.dofmap.index_map.size_local].sum()))
+    assert left == 3 * (n - 3)
+    with pytest.raises(InputError, match="only by edges that stay"):
+        scene.release("front left")
+    scene.lay_cable(Cable(EA=10.0), [(4.0, 1.7), (2.0, 0.0)], name="stay")
+    with pytest.raises(InputError, match="after cables have been laid"):
+        scene.release("back")
+    joint = scene.add_joint((9.0, 0.0, 0.0), name="lone", held="xyz")
+    for one, why in (("lone", "no bar"), (joint, "no bar")):
+        with pytest.raises(InputError, match=why):
+            scene.release(one)
+    corner = Scene(scene.mesh, IsotropicMembrane(E=100.0, nu=0.3, thickness=1.0))
+    for name in ("front left", "back left", "back right"):
+        corner.fix(name)
+    corner.lay_cable(Cable(EA=10.0), [(0.0, 0.0), (3.0, 2.9)], name="tie")
+    with pytest.raises(InputError, match="'tie' has an anchor of its own"):
+        corner.release("front left")
+    assert corner.held.any()
 
 
 def roof(comm: MPI.Intracomm) -> Solver:
@@ -197,6 +285,32 @@ def test_a_state_restored_within_a_stage_is_that_of_its_step(
     assert stage.base is before and stage.snapshot.case.base is before
     assert stage.step.energy == solver.scene.energy == pytest.approx(direct.step.energy, rel=1e-9)
     assert len(found.steps) == 2
+
+
+def test_stages_lead_to_each_other(comm: MPI.Intracomm) -> None:
+    """One after an earlier state than the last stage's is refused, until those between are gone."""
+    solver = roof(comm)
+    for k in (1, 2, 3):
+        with solver.stage(f"crew {k}"):
+            solver.advance(load={"crew": float(k)})
+    for earlier in (solver.stages["crew 1"].snapshot, solver.stages["crew 1"].base):
+        solver.restore(earlier)
+        solver.combine({"gust": {}})  # states of erection may have combinations
+        with pytest.raises(InputError, match=r"earlier state.*\(.*'crew 2', 'crew 3'\)"):
+            with solver.stage("other"):
+                raise AssertionError
+    assert list(solver.stages) == ["crew 1", "crew 2", "crew 3"]
+    solver.restore(solver.stages["crew 3"].snapshot)
+    with solver.stage("crew 4"):
+        solver.advance(load={"crew": 4.0})
+    assert solver.stages["crew 4"].stage == 4
+    solver.restore(solver.stages["crew 1"].snapshot)
+    solver.advance(load={"crew": 1.5})
+    for k in (2, 3, 4):
+        del solver.stages[f"crew {k}"]
+    with solver.stage("other"):
+        solver.advance(load={"crew": 2.5})
+    assert [one.stage for one in solver.stages.values()] == [1, 2]
 
 
 def test_bad_stages_are_refused_before_anything_is_computed(comm: MPI.Intracomm) -> None:

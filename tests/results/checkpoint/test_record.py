@@ -265,6 +265,12 @@ CALLS: dict[str, tuple[Callable[..., Scene], dict[str, Any]]] = {
         lambda **new: after(sheet(), "fix", **{"where": "boundary"} | new),
         {"where": "left", "directions": "z"},
     ),
+    "release": (
+        lambda **new: after(
+            after(sheet(), "fix", where="boundary"), "release", **{"where": "left"} | new
+        ),
+        {"where": "right", "directions": "z"},
+    ),
     "floor": (lambda **new: after(sheet(), "floor", **{"z": -1.0} | new), {"z": -2.0}),
     "add_term": (lambda term=1.0: after(sheet(), "add_term", Springs(term)), {"term": 2.0}),
     "put_load": (
@@ -286,7 +292,7 @@ CALLS: dict[str, tuple[Callable[..., Scene], dict[str, Any]]] = {
     "put_cable_load": (roped, {"force": (0, 0, 2.0), "cables": "ab", "name": "ice"}),
     "put_temperature": (
         lambda **new: after(sheet(), "put_temperature", **{"change": 30.0} | new),
-        {"change": {"fabric": 20.0}, "name": "temperature winter"},
+        {"change": {"fabric": 20.0}, "name": "temperature winter", "reference": 10.0},
     ),
     "put_joint_load": (joint_load, {"forces": 2.0, "name": "sign"}),
     "put_pond": (

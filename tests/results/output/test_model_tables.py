@@ -13,6 +13,7 @@ from crms_fenicsx import (
     Bar,
     Cable,
     Friction,
+    InputError,
     IsotropicMembrane,
     OrthotropicMembrane,
     Scene,
@@ -113,6 +114,47 @@ def test_design_values_not_given_have_no_table() -> None:
     scene.lay_cable(Cable(EA=2e3), [(0.0, 1.7), (4.0, 2.2)], name="A1")
     tables = model_of_scene(scene, Units()).tables
     assert not any(tables[name].rows for name in ("cable values", "bar values", "limits"))
+
+
+def test_make_of_cables() -> None:
+    """As given with the design value; EA of the cable in the model."""
+    strand = codes.CableDesign(
+        220.0, construction="spiral strand 1x19", diameter=0.016, area=153e-6, modulus=150e6
+    )
+    assert strand.stiffness == pytest.approx(22950.0)
+    scene = scene_of(IsotropicMembrane(E=800.0, nu=0.3, thickness=1.0, prestress=1.0))
+    scene.lay_cable(Cable(EA=strand.stiffness), [(0.0, 1.7), (4.0, 2.2)], name="A1")
+    scene.lay_cable(Cable(EA=2e3), [(1.7, 0.0), (2.2, 4.0)], name="A2")
+    guy = Bar(EA=9e3, tension_only=True)
+    scene.add_bar(guy, (8.0, 0.0, 0.0), (9.0, 0.0, 4.0), name="guy")
+    plain = codes.CableDesign(breaking=90.0)
+    scene.set_strengths((40.0, 40.0), cables={"A2": plain, "guy": plain})
+    assert model_of_scene(scene, Units("m", "kN")).tables["cable make"].rows == []
+    scene.set_strengths((40.0, 40.0), cables={"A1": strand, "A2": 50.0, "guy": plain})
+    table = model_of_scene(scene, Units("m", "kN")).tables["cable make"]
+    assert table.columns[2:5] == ["Diameter [m]", "Metallic area [m²]", "Modulus [kN/m²]"]
+    first, second = table.rows
+    assert first == ("A1", "spiral strand 1x19", 0.016, 153e-6, 150e6, strand.stiffness, 220.0)
+    assert second == ("guy", *[None] * 4, 9e3, 90.0)
+    with pytest.raises(InputError, match="area"):
+        _ = plain.stiffness
+
+
+def test_temperatures_say_what_they_follow() -> None:
+    """Reference temperature, range and coefficients of expansion of what a load changes."""
+    material = IsotropicMembrane(E=800.0, nu=0.3, thickness=1.0, prestress=1.0, expansion=5e-5)
+    scene = scene_of(material)
+    for k, name in enumerate(("A1", "A2")):
+        rope = Cable(EA=2e3, expansion=1.2e-5)
+        scene.lay_cable(rope, [(0.0, 1.7 + k), (4.0, 1.2 + k)], name=name)
+    scene.put_temperature(-30.0, name="temperature winter", reference=10.0)
+    scene.put_temperature({"fabric": 45.0}, name="temperature summer")
+    basis = model_of_scene(scene, Units("m", "kN")).basis
+    assert basis["Load temperature winter"] == (
+        "T_0 = 10 °C, all -30 K to -20 °C, coefficients of expansion: 5e-05 1/K of fabric; "
+        "1.2e-05 1/K of A1, A2"
+    )
+    assert basis["Load temperature summer"] == "coefficients of expansion: 5e-05 1/K of fabric"
 
 
 def test_loads_say_what_they_follow() -> None:

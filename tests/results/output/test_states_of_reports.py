@@ -171,8 +171,31 @@ def test_checkpoints_know_whether_it_was_in_equilibrium(
     other = Solver(again)
     other.load(folder / "saved")
     assert other.summary().in_equilibrium is not changed
-    due = "Not in equilibrium" if changed else "Not verified in this run"
+    due = "Not in equilibrium" if changed else "Verified"
     assert verdict(page_of(other, folder / "now.html")).startswith(due)
+
+
+@pytest.mark.ranks
+def test_a_resumed_run_writes_the_same_report(comm: MPI.Intracomm, folder: Path) -> None:
+    """With its doubts and checks of equilibrium, of combinations and of stages of erection."""
+
+    def run(name: str, resume: bool) -> str:
+        scene = sheet(comm, 4, material=fabric(1e3), side=10.0)
+        scene.put_load((0.0, 0.0, -1.0), name="snow")
+        scene.set_strengths((5.0, 5.0))
+        solver = Solver(scene, results=folder / "run", resume=resume)
+        with solver.stage("laid"):
+            scene.lay_cable(Cable(EA=2e3), [(0.0, 3.0), (10.0, 4.0)], tension=3.0, name="ridge")
+        step = solver.advance(load=0.2, pressure=0.5)
+        assert step.verification is not None and step.verification.passed
+        found = solver.combine({"calm": {}, "snow": {"snow": 0.6}}) | solver.stages
+        page_of(solver, folder / name, found)
+        text = (folder / name).read_text(encoding="utf-8")
+        return re.sub(r"\d\d:\d\d UTC", "", text)
+
+    first, again = run("first.html", resume=False), run("again.html", resume=True)
+    assert first.splitlines() == again.splitlines()
+    assert "finer cells may change" in first and "Requirements of equilibrium" in first
 
 
 def images(path: Path) -> list[str]:
@@ -222,6 +245,18 @@ def test_combinations_of_models_that_differ_are_refused(comm: MPI.Intracomm, fol
     with pytest.raises(InputError, match="materials of the combinations calm and stiff differ"):
         solver.report(folder / "three.html", found, pictures=[])
     assert not (folder / "three.html").exists()
+
+
+def test_base_states_other_than_the_first_are_told(comm: MPI.Intracomm, folder: Path) -> None:
+    solver = roof(comm)
+    found = solver.combine({"calm": {}, "snow": {"snow": 0.3}})
+    solver.advance(load={"snow": 0.25}, pressure=0.4)
+    found |= solver.combine({"gust": {"snow": 0.3}, "more": {"snow": 0.4}})
+    page = page_of(solver, folder / "both.html", found)
+    text = "Base state of gust, more instead of LC0: inner pressure 0.4000, snow 0.2500."
+    assert text in page.words
+    page = page_of(solver, folder / "one.html", {"gust": found["gust"]})
+    assert not any("instead of LC0" in word for word in page.words)
 
 
 def test_the_base_state_of_a_loaded_state(comm: MPI.Intracomm, folder: Path) -> None:
@@ -278,3 +313,18 @@ def test_more_prestress_alone_is_not_the_base_state(comm: MPI.Intracomm, folder:
     found = solver.combine(changed | {"as it is": {}})
     (_, *rows) = page_of(solver, folder / "own.html", found).tables[table]
     assert [row[:2] for row in rows] == [["LC0", "as it is"], ["LC1", "tight"], ["LC2", "torn"]]
+
+
+@pytest.mark.ranks
+def test_slack_cables_are_named(comm: MPI.Intracomm, folder: Path) -> None:
+    """In the tables of tensions, in place of a number, and beside their envelope."""
+    solver = roof(comm)
+    (ridge,) = solver.scene.cables
+    found = solver.combine({"Snow": {"snow": 0.3}})
+    with solver.stage("loosened"):
+        solver.advance(L0={ridge: 1.3 * ridge.L0})
+    page = page_of(solver, folder / "slack.html", found | solver.stages)
+    assert page.tables["Envelope of the cables' tensions"][0][-1] == "Slack in"
+    assert page.tables["Envelope of the cables' tensions"][1][-1] == "loosened"
+    tensions = {row[0]: row[1] for row in page.tables["Largest tensions of the cables"][1:]}
+    assert tensions["loosened"] == "slack" and float(tensions["Snow"]) > 1.0

@@ -15,6 +15,7 @@ from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers
 from crms_fenicsx.foundation.runtime.errors import InputError
 from crms_fenicsx.results.output.figures.axes3d import (
     INK,
+    RIM,
     Axes3D,
     bounds,
     check_view,
@@ -204,6 +205,7 @@ def draw_shape(
     legend = [
         (_FABRIC, note, "patch"), (NO_VALUE, without, "patch"), (CABLE, style.note, "line"),
         (style.off_colour if striped else CABLE, striped, "stripes"),
+        (RIM, "clamp" * any(map(len, style.clamps)), "clamp"),
         (INK, "held edge" * bool(len(held)), "line"), (INK, "support" * bool(len(feet)), "foot"),
     ]  # fmt: skip
     axes3d = Axes3D(camera, low, high, how.title, len(bars), how.width, legend)
@@ -239,7 +241,9 @@ def _paint_surface(
     strength, faces = _edge_strength(axes3d, flat), flat
     if paint is not None and values is not None:  # unlit: the colours are those of the bar
         if values.ndim == 2:
-            faces, values, parent, side = _fine(flat, values)
+            # between 60 colours the eye sees no edges
+            step = (np.ptp(paint.get_clim()) or 1.0) / 60.0
+            faces, values, parent, side = _fine(flat, values, step, 2.5 * axes3d.point)
             shown = np.column_stack([shown, np.zeros(len(flat), dtype=bool)])
             shown, strength = shown[parent[:, None], side], strength[parent]
         colours = paint.to_rgba(values)[:, :3]
@@ -298,32 +302,32 @@ def _per_corner(values: ArrayLike | None, surface: Surface) -> Array | None:
     )
 
 
-def _fine(flat: Array, values: Array) -> tuple[Array, Array, Integers, Integers]:
-    """Parts of triangles (m, 3, 3) for values (m, 3) between their corners.
+def _fine(flat: Array, values: Array, step: float, length: float) -> tuple[Array, ...]:
+    """Parts of triangles (m, 3, 3) for values (m, 3) between their corners: so many on each side
+    that they differ by up to `step` or are up to `length` long in the picture, but not above 4.
 
     Returns the corners of the parts (p, 3, 3), their values (p,), the triangle of each (p,), and of
     which side (3: none) of it each part's sides are (p, 3).
     """
-    n = int(np.clip(np.sqrt(40_000 / max(len(flat), 1)), 1, 4))
-    parts, sides = [], []
-    for i in range(n):
-        for j in range(n - i):
-            # weights of the second and third corner, in units of 1 / n
-            parts.append(((i, j), (i + 1, j), (i, j + 1)))
-            sides.append((0 if j == 0 else 3, 1 if i + j == n - 1 else 3, 2 if i == 0 else 3))
-            if i + j < n - 1:
-                parts.append(((i + 1, j), (i + 1, j + 1), (i, j + 1)))
-                sides.append((3, 3, 3))
-    share = np.array(parts, dtype=np.float64) / n
-    weights = np.concatenate([1.0 - share.sum(axis=2, keepdims=True), share], axis=2)
-    corners = np.einsum("pkv,mvi->mpki", weights, flat).reshape(-1, 3, 3)
-    middles = np.einsum("pv,mv->mp", weights.mean(axis=1), values).ravel()
-    return (
-        corners,
-        middles,
-        np.repeat(np.arange(len(flat)), len(parts)),
-        np.tile(sides, (len(flat), 1)),
-    )
+    longest = np.linalg.norm((flat - np.roll(flat, 1, axis=1))[..., :2], axis=2).max(axis=1)
+    wanted = np.fmin(np.ptp(values, axis=1) / step, longest / length)
+    counts, found = np.clip(np.ceil(wanted), 1, 4), []
+    for n in np.unique(counts).astype(int):
+        own, parts, sides = np.flatnonzero(counts == n), [], []
+        for i in range(n):
+            for j in range(n - i):
+                # weights of the second and third corner, in units of 1 / n
+                parts.append(((i, j), (i + 1, j), (i, j + 1)))
+                sides.append((0 if j == 0 else 3, 1 if i + j == n - 1 else 3, 2 if i == 0 else 3))
+                if i + j < n - 1:
+                    parts.append(((i + 1, j), (i + 1, j + 1), (i, j + 1)))
+                    sides.append((3, 3, 3))
+        share = np.array(parts, dtype=np.float64) / n
+        weights = np.concatenate([1.0 - share.sum(axis=2, keepdims=True), share], axis=2)
+        corners = np.einsum("pkv,mvi->mpki", weights, flat[own]).reshape(-1, 3, 3)
+        middles = np.einsum("pv,mv->mp", weights.mean(axis=1), values[own]).ravel()
+        found.append((corners, middles, np.repeat(own, n * n), np.tile(sides, (len(own), 1))))
+    return tuple(np.concatenate(one) for one in zip(*found, strict=True))
 
 
 def _paint_triangles(

@@ -54,20 +54,21 @@ def add_lines(axes: Axes, lines: Iterable[ArrayLike], **look: Any) -> None:
     """Draw polylines, (k, 2) each, in one style or a style each."""
     from matplotlib.collections import LineCollection
 
-    axes.add_collection(LineCollection([np.asarray(line) for line in lines], **look))
+    axes.add_collection(LineCollection([np.asarray(line) for line in lines], **look), autolim=False)
 
 
 def add_polygons(axes: Axes, polygons: Array, **look: Any) -> None:
     """Draw polygons (n, k, 2) in one style or a style each."""
     from matplotlib.collections import PolyCollection
 
-    axes.add_collection(PolyCollection(polygons, **look))  # type: ignore[arg-type]  # an array is fast
+    axes.add_collection(PolyCollection(polygons, **look), autolim=False)  # type: ignore[arg-type]  # an array is fast
 
 
-def png_of(figure: Figure, dpi: int, region: Bbox | str = "tight") -> bytes:
+def png_of(figure: Figure, dpi: int, region: Bbox | str = "tight", packing: int = 6) -> bytes:
     """A figure, or a region of it (inches), as PNG."""
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=dpi, bbox_inches=region, pad_inches=MARGIN)
+    figure.savefig(buffer, format="png", dpi=dpi, bbox_inches=region, pad_inches=MARGIN,
+                   pil_kwargs={"compress_level": packing})  # fmt: skip
     return buffer.getvalue()
 
 
@@ -79,7 +80,7 @@ def finished(
         with replaced(path) as partial:
             figure.savefig(partial, dpi=dpi, bbox_inches=region, pad_inches=MARGIN)
         return None
-    figure._repr_png_ = lambda dpi=100: png_of(figure, dpi, region)  # type: ignore[attr-defined]
+    figure._repr_png_ = lambda dpi=100: png_of(figure, dpi, region, 1)  # type: ignore[attr-defined]
     return figure
 
 

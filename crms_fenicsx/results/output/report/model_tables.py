@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import platform
+import re
 import sys
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
@@ -20,6 +21,7 @@ from crms_fenicsx.foundation.meshes.triangles import cell_sides
 from crms_fenicsx.foundation.runtime.arrays import Array, floats
 from crms_fenicsx.foundation.runtime.errors import InputError
 from crms_fenicsx.model.bar import Joint, PlacedBar
+from crms_fenicsx.model.combination_table import CombinationTable
 from crms_fenicsx.model.friction import Friction
 from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.membrane import COMPONENTS
@@ -30,12 +32,15 @@ from crms_fenicsx.results.output.report.case import box
 from crms_fenicsx.results.output.report.design_tables import (
     BARS,
     CABLES,
+    MAKE,
     bar_values,
+    cable_make,
     cable_values,
     limits_in_service,
 )
 from crms_fenicsx.results.output.report.page import Cell, Figure, Table, Units, number, shown
 from crms_fenicsx.results.output.report.results_tables import Row, clean, families
+from crms_fenicsx.results.output.report.verdict import listed
 from crms_fenicsx.results.quantities import load_values
 from crms_fenicsx.results.reactions import held_groups, held_lengths
 
@@ -53,6 +58,7 @@ class Model:
     pressure: float = 0.0  # of the base state (force per area)
     factors: Mapping[str, float] = field(default_factory=dict)  # of the loads in the base state
     basis: Mapping[str, str] = field(default_factory=dict)  # what loads say of codes, by name
+    combined: Sequence[CombinationTable] = ()  # tables that the combinations are of
 
 
 def model_of_scene(scene: Scene, units: Units) -> Model:
@@ -63,8 +69,9 @@ def model_of_scene(scene: Scene, units: Units) -> Model:
     listed: dict[str, tuple[str, str, list[Row]]] = {
         "mesh": ("Mesh and theory", "Property|Value", _mesh(scene, areas, extents, units)),
         "materials": ("Membrane", "Part|Area{area}|Material|Data", _materials(scene, areas, units)),
+        "cable make": ("Make of the cables", MAKE, cable_make(scene, units)),
         "cable values": ("Design values of the cables", CABLES, cable_values(scene)),
-        "bar values": ("Design values of the bars", BARS, bar_values(scene.bars, units)),
+        "bar values": (*BARS, bar_values(scene.bars, units)),
         "limits": (
             "Limits in service",
             "Limit|Value",
@@ -122,7 +129,7 @@ PRESSED = "Pressure acts on"
 
 STATE = {
     "materials": (), "supports": (3,), "cables": (2,), "bars": (3,), "joints": (2, 3, 4),
-    "loads": (3, 4, 5, 6), "cable values": (), "bar values": (6, 7, 8, 9, 10),
+    "loads": (3, 4, 5, 6), "cable values": (), "cable make": (), "bar values": (6, 7, 8, 9, 10),
 }  # fmt: skip
 """Tables whose listed columns depend on the state."""
 
@@ -197,7 +204,8 @@ def _materials(scene: Scene, areas: Array, units: Units) -> list[Row]:
         area = scene.comm.allreduce(float(own.sum()))
         part = membrane.parts.get(k, ALL) or "whole membrane"
         data = _material(material, units, membrane.frames is not None)
-        rows.append((part, area, type(material).__name__, data))
+        kind = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", type(material).__name__).lower()
+        rows.append((part, area, kind, data))
     return rows
 
 
@@ -332,10 +340,27 @@ def _basis(scene: Scene, units: Units) -> dict[str, str]:
     found = dict[str, str]()
     for load in scene.loads:
         peak = f"q_p = {number(load.peak)}{units.plain('pressure')}" if load.peak else ""
-        text = ", ".join(x for x in (peak, load.basis) if x)
+        grown = f"coefficients of expansion: {_expansions(scene, load)}" if load.warms else ""
+        text = ", ".join(x for x in (peak, load.basis, grown) if x)
         if text:
             found[f"Load {load.name}"] = text
     return found
+
+
+def _expansions(scene: Scene, load: MembraneLoad) -> str:
+    """Coefficients of thermal expansion of what a temperature load changes, and of which
+    members."""
+    found = dict[str, list[str]]()
+    parts = scene.membrane.parts
+    warmed: list[tuple[str, Any, Any]] = [
+        (f"fabric {parts.get(k, ALL)}".strip(), one, k) for k, one in scene.materials.items()
+    ]
+    warmed += [(one.name, one.cable, one) for one in scene.cables]
+    warmed += [(one.name, one.bar, one) for one in scene.bars]
+    for name, of, member in warmed:
+        if any(one is load for one, _ in scene.loads.warmings(member)):
+            found.setdefault(_text(getattr(of, "expansion", None)), []).append(name)
+    return "; ".join(f"{x} 1/K of {listed(names)}" for x, names in found.items())
 
 
 def _theory(scene: Scene, units: Units) -> dict[str, str]:
