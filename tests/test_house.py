@@ -56,12 +56,12 @@ OPTIONS = set(
 
 
 BUDGETS = {
-    "foundation": 10872,
+    "foundation": 10943,
     "model": 3897,
-    "energy": 7587,
+    "energy": 7589,
     "cabling": 8512,
-    "analysis": 8253,
-    "results": 12257,
+    "analysis": 8257,
+    "results": 12262,
     "solver": 1063,
     "design": 9732,
 }
@@ -70,8 +70,8 @@ BUDGETS = {
 RATCHETS = {
     "isinstance of own types": 155,
     "attributes that are born late": 100,
-    "files of less than 100 lines": 30,
-    "public functions and classes": 1144,
+    "files of less than 100 lines": 29,
+    "public functions and classes": 1145,
     "classes": 454,
     "module constants": 273,
     "numbers in values": 72,

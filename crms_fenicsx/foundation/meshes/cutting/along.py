@@ -15,7 +15,7 @@ from crms_fenicsx.foundation.meshes.cutting.collapsing import collapse
 from crms_fenicsx.foundation.meshes.cutting.cut_mesh import LEAST, CutMesh, Row
 from crms_fenicsx.foundation.meshes.cutting.division import CutNodes, chords_of, course, divided
 from crms_fenicsx.foundation.meshes.cutting.feature_edges import FeatureEdges
-from crms_fenicsx.foundation.meshes.cutting.flipping import flip
+from crms_fenicsx.foundation.meshes.cutting.flipping import flip, halve_corners
 from crms_fenicsx.foundation.meshes.cutting.spreading import Spreading, raise_vertices
 from crms_fenicsx.foundation.meshes.cutting.traced_lines import (
     TracedLine,
@@ -56,10 +56,11 @@ def along(mesh: MembraneMesh, lines: Mapping[str, ArrayLike]) -> MembraneMesh:
 
     A cable laid along such a line has the mesh's vertices as its points. Where lines cross they
     share a vertex. Vertices of the mesh near a line are merged with the line's or moved away from
-    it along the surface, so that cells keep their shape; all others stay where they are. The
-    vertices of a line lie on its route, on the facets of the given mesh. Where the mesh knows the
-    surface that it approximates, as those of the built-in shapes do, all new and moved vertices are
-    moved to that and to its rim, as by `refine`.
+    it along the surface, so that cells keep their shape; all others stay where they are. Where one
+    cell fills a corner of more than 75 degrees beside a line, as at crossings, a vertex is added.
+    The vertices of a line lie on its route, on the facets of the given mesh. Where the mesh knows
+    the surface that it approximates, as those of the built-in shapes do, all new and moved vertices
+    are moved to that and to its rim, as by `refine`.
 
     Parameters
     ----------
@@ -179,15 +180,19 @@ def cut(tracer: Tracer, traced: Sequence[TracedLine]) -> CutMesh:
         places = points[vertices]
         turns = np.abs(side_turns(places, normals[vertices]))
         rows[line.name] = Row(vertices, places, turns, arc_lengths(places), turns > TURN)
-    return CutMesh(surface, points, cells, parents, features, rows, total / count)
+    return CutMesh(
+        surface, points, cells, parents, features, rows, total / count, np.arange(len(points))
+    )
 
 
 def improve(mesh: CutMesh) -> None:
-    """Merge, flip and spread what lies near the rows."""
+    """Merge, halve, flip and spread what lies near the rows."""
     collapse(mesh)
-    near = mesh.band(3)
-    flip(mesh, near)
-    for _ in range(2):
+    flip(mesh, mesh.band(3))
+    for _ in range(3):
+        halve_corners(mesh)
+        near = mesh.band(3)
+        flip(mesh, near)
         spreading = Spreading(mesh)
         for step in range(3):
             spreading.step(last=step == 2)

@@ -43,6 +43,7 @@ class CutMesh:
     features: FeatureEdges
     rows: dict[str, Row]
     size: Array  # (n,) mean length of the edges around each vertex of the given surface
+    home: Integers  # (n,) for vertices off feature lines one of the given surface, at it or nearby
 
     def band(self, rings: int) -> Booleans:
         """Vertices (n,) within that many edges of a row."""

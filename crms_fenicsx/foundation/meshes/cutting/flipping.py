@@ -1,12 +1,13 @@
-"""Edges off the kept ones flipped until opposite angles are at most 180 degrees together."""
+"""Edges off the kept ones flipped until opposite angles are at most 180 degrees together, and
+halved opposite wide corners that one cell fills at rows."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from crms_fenicsx.foundation.meshes.cutting.cut_mesh import CutMesh, around
+from crms_fenicsx.foundation.meshes.cutting.cut_mesh import LEAST, CutMesh, around
 from crms_fenicsx.foundation.meshes.edge_table import EdgeTable, edge_keys
-from crms_fenicsx.foundation.meshes.triangles import cross, dot, norm
+from crms_fenicsx.foundation.meshes.triangles import cross, dot, norm, shapes
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers
 
 
@@ -67,3 +68,67 @@ def _angle(at: Array, p: Array, q: Array) -> Array:
     """Angles at vertices towards two others."""
     u, v = p - at, q - at
     return np.asarray(np.arctan2(norm(cross(u, v)), dot(u, v)))
+
+
+def halve_corners(mesh: CutMesh) -> None:
+    """Put a vertex into the side opposite each wide corner that one cell fills at a row.
+
+    Such a cell has no vertex of its own. The tensions of cables that lift off above crossings
+    would depend on how many of the four corners there have one.
+    """
+    near = np.flatnonzero(around(mesh.cells, mesh.band(0)))
+    one, two = _sides_to_halve(mesh, mesh.cells[near])
+    p, q, a, b = _quadrilaterals(mesh.cells[near], one, two)
+    one, two = near[one // 3], near[two // 3]
+    m = len(mesh.points) + np.arange(len(p))
+    middles = 0.5 * (mesh.points[p] + mesh.points[q])
+    given = np.sort(mesh.surface.cells[mesh.parents[one]], axis=1)
+    gaps = norm(mesh.surface.points[given] - middles[:, None]) / mesh.size[p, None]
+    nearest = np.argmin(gaps.round(6), axis=1)
+    mesh.home = np.concatenate([mesh.home, given[np.arange(len(m)), nearest]])
+    mesh.points = np.concatenate([mesh.points, middles])
+    mesh.size = np.concatenate([mesh.size, 0.5 * (mesh.size[p] + mesh.size[q])])
+    mesh.cells[one], mesh.cells[two] = np.stack([a, p, m], axis=1), np.stack([b, q, m], axis=1)
+    others = np.stack([a, m, q], axis=1), np.stack([b, m, p], axis=1)
+    mesh.cells = np.concatenate([mesh.cells, *others])
+    mesh.parents = np.concatenate([mesh.parents, mesh.parents[one], mesh.parents[two]])
+
+
+def _sides_to_halve(mesh: CutMesh, cells: Integers) -> tuple[Integers, Integers]:
+    """Sides of two cells each, opposite wide corners; one of a cell, whose halves are not slim."""
+    sides, table = edge_keys(cells[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)), EdgeTable.of(cells)
+    kept = np.isin(sides, mesh.features.keys()).reshape(-1, 3)
+    wide = sides[_opposite_wide(mesh, cells, kept).ravel()]
+    one, two = table.linked_sides((table.counts == 2) & np.isin(table.keys, wide))
+    p, q, a, b = (mesh.points[v] for v in _quadrilaterals(cells, one, two))
+    m = 0.5 * (p + q)
+    halves = [np.stack(x, axis=1) for x in ((a, p, m), (a, m, q), (b, q, m), (b, m, p))]
+    sines = np.min([shapes(half)[1] for half in halves], axis=0)
+    fits = np.flatnonzero(sines > np.sin(np.radians(LEAST[1])))
+    first = np.full(len(cells), len(one))
+    for side in (one, two):
+        np.minimum.at(first, side[fits] // 3, fits)
+    fits = fits[(first[one[fits] // 3] == fits) & (first[two[fits] // 3] == fits)]
+    return one[fits], two[fits]
+
+
+def _opposite_wide(mesh: CutMesh, cells: Integers, kept: Booleans) -> Booleans:
+    """Whether each side (m, 3) is opposite a corner of over 75 degrees, between 60 of one cell and
+    two of 45, at a row between `kept` sides (m, 3)."""
+    on_row = np.zeros(len(mesh.points), dtype=bool)
+    for row in mesh.rows.values():
+        on_row[row.vertices] = True
+    found = np.zeros_like(kept)
+    for k in range(3):
+        corner, start, end = cells[:, k - 1], cells[:, k], cells[:, k - 2]
+        found[:, k] = ~kept[:, k] & kept[:, k - 1] & kept[:, k - 2] & on_row[corner]
+        u, v = (mesh.points[w] - mesh.points[corner] for w in (start, end))
+        found[:, k] &= dot(u, v) < np.cos(np.radians(75.0)) * norm(u) * norm(v)
+    return found
+
+
+def _quadrilaterals(cells: Integers, one: Integers, two: Integers) -> Integers:
+    """Ends of sides (k,) of two cells, and the vertices opposite in these, (4, k)."""
+    flat = cells.ravel()
+    ends = [flat[3 * (one // 3) + (one + j) % 3] for j in range(3)]
+    return np.stack([*ends, flat[3 * (two // 3) + (two + 2) % 3]])

@@ -41,7 +41,7 @@ class Spreading:
         self.slides = self._sliding(on_row)
         self.rows = [(row, self._may_slide(row)) for row in mesh.rows.values()]
         given = mesh.surface
-        self.owner, cells = Stars(given.cells, len(given.points)).of(self.free)
+        self.owner, cells = Stars(given.cells, len(given.points)).of(mesh.home[self.free])
         self.star = given.points[given.cells[cells]]
 
     def _sliding(self, on_row: Booleans) -> Integers:

@@ -12,7 +12,7 @@ from grids import Floats, Ints, grid
 from crms_fenicsx.foundation.meshes.cutting.along import _poor, _turned, cut, improve
 from crms_fenicsx.foundation.meshes.cutting.collapsing import collapse
 from crms_fenicsx.foundation.meshes.cutting.cut_mesh import CutMesh
-from crms_fenicsx.foundation.meshes.cutting.flipping import flip
+from crms_fenicsx.foundation.meshes.cutting.flipping import flip, halve_corners
 from crms_fenicsx.foundation.meshes.cutting.spreading import Spreading
 from crms_fenicsx.foundation.meshes.cutting.traced_lines import Tracer
 from crms_fenicsx.foundation.meshes.orientation import UPWARD
@@ -102,6 +102,43 @@ def test_flips_leave_no_edge_that_should_be_flipped() -> None:
 
 def _kept(work: CutMesh) -> list[tuple[int, int]]:
     return [(a, b) for a, others in work.features.beside.items() for b in others]
+
+
+def wide_corners(work: CutMesh) -> list[tuple[int, int, int]]:
+    """Cells that fill a corner of over 75 degrees between kept edges at a row, corner first."""
+    x, kept = work.points, set(_kept(work))
+    on_row = {int(v) for row in work.rows.values() for v in row.vertices}
+    found = []
+    for cell in work.cells.tolist():
+        for k in range(3):
+            c, a, b = (cell[(k + j) % 3] for j in range(3))
+            u, v = x[a] - x[c], x[b] - x[c]
+            wide = u @ v < np.cos(np.radians(75.0)) * np.linalg.norm(u) * np.linalg.norm(v)
+            if wide and c in on_row and (c, a) in kept and (c, b) in kept and (a, b) not in kept:
+                found.append((c, a, b))
+    return found
+
+
+def test_wide_corners_at_rows_have_more_than_one_cell() -> None:
+    """Found by a slow twin; each gets a vertex of its own, and the sheet keeps its area."""
+    found = left = ends = 0
+    for n in (12, 15, 20, 24):
+        work = sheet(n, 0.3)
+        collapse(work)
+        flip(work, work.band(3))
+        before, points = wide_corners(work), len(work.points)
+        halve_corners(work)
+        a, b, c = work.points[work.cells].transpose(1, 0, 2)
+        normals = np.cross(b - a, c - a)
+        assert normals[:, 2].min() > 0.0
+        np.testing.assert_allclose(normals[:, 2].sum() / 2, 1.0, rtol=1e-13)
+        after = wide_corners(work)
+        assert set(after) <= set(before)
+        assert len(work.points) - points == len(before) - len(after)
+        assert len(work.parents) == len(work.cells) and len(work.home) == len(work.points)
+        improve(work)
+        found, left, ends = found + len(before), left + len(after), ends + len(wide_corners(work))
+    assert found > 10 and left < 0.5 * found and ends < 0.1 * found
 
 
 def test_spreading_keeps_rows_on_their_lines_and_the_sheet_flat() -> None:
