@@ -25,8 +25,8 @@ RESULTS = "results/inflated_square"
 LOOK = {
     "colour": "height",
     "limits": (0.0, 10.2),
-    "view": (-35.0, 25.0),
-    "box": ((-20.0, -2.0, -6.5), (120.0, 102.0, 12.0)),
+    "view": (-50.0, 25.0),
+    "box": ((-83.0, -3.0, -16.0), (183.0, 103.0, 12.0)),
     "unit": "cm",
     "force": "kgf",
     "width": 5.5,

@@ -268,7 +268,8 @@ DRAWN: dict[str, dict[str, tuple[int, Draw]]] = {
             1,
             beside(
                 state(
-                    **HALF | {"colour": "height", "title": "under the heap", "view": (-60.0, 12.0)}
+                    **HALF | {"colour": "height", "title": "under the heap", "view": (-60.0, 12.0)},
+                    tensions=False,  # slack but for the tolerance
                 ),
                 with_water,
             ),
@@ -297,7 +298,7 @@ DRAWN: dict[str, dict[str, tuple[int, Draw]]] = {
             2,
             closeup((0.0, 12.0, 0.0, 8.0), laid="as laid", slid="after the load step"),
         ),
-        "lines_dome": (3, closeup((0.0, 12.4, -12.4, 0.0), roof="lines of the mesh")),
+        "lines_dome": (4, closeup((0.0, 12.4, -12.4, 0.0), roof="lines of the mesh")),
     },
     "patterns": {
         "roll": (3, roll),
@@ -325,7 +326,9 @@ DRAWN: dict[str, dict[str, tuple[int, Draw]]] = {
 def fewer_colours(file: Path) -> None:
     """Store a picture with a palette, of a third of the bytes."""
     with Image.open(file) as image:
-        image.convert("RGB").quantize(160, dither=Image.Dither.NONE).save(file, optimize=True)
+        # not the default, "median cut", which replaces the ends of colour bars
+        few = image.convert("RGB").quantize(256, Image.Quantize.MAXCOVERAGE, kmeans=1)
+    few.save(file, optimize=True)
 
 
 def main(pages: list[str]) -> None:

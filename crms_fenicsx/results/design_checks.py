@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from mpi4py import MPI
@@ -13,6 +13,7 @@ from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.foundation.runtime.errors import as_text
 from crms_fenicsx.model.strengths import ALL, SERVICE
+from crms_fenicsx.model.tolerances import SAME_VALUE
 from crms_fenicsx.results.cable_and_bar_results import Force
 from crms_fenicsx.results.membrane_results import MembraneResults
 from crms_fenicsx.results.recovered_values import (
@@ -21,6 +22,8 @@ from crms_fenicsx.results.recovered_values import (
     recovered,
     reinforced,
 )
+
+Item = TypeVar("Item")
 
 LASTING = "quasi-permanent"
 """State in which prestress must remain, and water must drain."""
@@ -136,6 +139,14 @@ def _fabric(results: MembraneResults, used: JudgedUtilisation) -> Iterator[Desig
             own = np.repeat(used.limits[cells, k], 3)[there]
             limit = results.comm.allreduce(float(own.min(initial=np.inf)), op=MPI.MIN)
             yield DesignCheck(what, part, most.value * limit, limit, most.at)
+
+
+def governing_of(items: Iterable[Item], size: Callable[[Item], float]) -> Item:
+    """The first of the items whose size is the largest, up to the solver's tolerance: mirrored
+    combinations govern together, and all tables name the first."""
+    every = [(size(one), one) for one in items]
+    most = max(x for x, _ in every)
+    return next(one for x, one in every if x == most or most - x <= SAME_VALUE * abs(most))
 
 
 def extreme(comm: MPI.Intracomm, values: Array, places: Array, *, largest: bool) -> Extreme:

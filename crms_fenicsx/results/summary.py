@@ -36,6 +36,7 @@ from crms_fenicsx.results.design_checks import (
     Extreme,
     checks_of,
     extreme,
+    governing_of,
     in_service,
 )
 from crms_fenicsx.results.hollows import Hollow, Hollows, find_hollows
@@ -278,13 +279,13 @@ class DesignTable:
     @classmethod
     def of(cls, summaries: Mapping[str, Summary]) -> DesignTable:
         """The table of summaries by combination."""
-        most: dict[tuple[str, str, str], tuple[str, str, DesignCheck]] = {}
+        found: dict[tuple[str, str, str], list[tuple[str, str, DesignCheck]]] = {}
         for name, one in summaries.items():
             for check in one.checks:
                 key = one.state, check.what, check.member
-                if key not in most or check.share > most[key][2].share:
-                    most[key] = one.state, name, check
-        rows = sorted(most.values(), key=lambda row: LIMIT_STATES.index(row[0]))
+                found.setdefault(key, []).append((one.state, name, check))
+        most = [governing_of(rows, lambda row: row[2].share) for rows in found.values()]
+        rows = sorted(most, key=lambda row: LIMIT_STATES.index(row[0]))
         judged = [one for one in summaries.values() if one.state not in SERVICE]
         without = dict.fromkeys(name for one in judged for name in _without_design(one))
         without |= dict.fromkeys(_without_duration(judged))
@@ -299,8 +300,7 @@ class DesignTable:
     @property
     def governing(self) -> tuple[str, str, DesignCheck] | None:
         """The row with the largest share; None without any."""
-        rows = self.rows
-        return max(rows, key=lambda row: row[2].share) if rows else None
+        return governing_of(self.rows, lambda row: row[2].share) if self.rows else None
 
     def __repr__(self) -> str:
         """A table grouped by limit state."""

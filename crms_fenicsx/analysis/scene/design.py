@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from crms_fenicsx.analysis.scene.frame import Frame
+from crms_fenicsx.cabling.cables.cable_net import CableNet
 from crms_fenicsx.foundation.runtime import checks
 from crms_fenicsx.foundation.runtime.arguments import NonNegative, Positive, collective
 from crms_fenicsx.model.bar import PlacedBar
@@ -28,8 +29,8 @@ class Design:
     """Strengths of fabric and cables, and limits in service. They do not belong to the scene's
     state; the membrane has those of the fabric."""
 
-    def __init__(self, membrane: Membrane, frame: Frame) -> None:
-        self.membrane, self.comm, self._frame = membrane, membrane.comm, frame
+    def __init__(self, membrane: Membrane, frame: Frame, net: CableNet) -> None:
+        self.membrane, self.comm, self._frame, self._net = membrane, membrane.comm, frame, net
         self.cables: dict[str, float | CableDesign] = {}
         self.limits = Limits()
 
@@ -57,8 +58,9 @@ class Design:
             have none.
         cables
             A `codes.CableDesign` or a design value of the tension (force), for all cables or by
-            name; others have none. Cables may be laid later. Named bars that only pull, guys, are
-            judged as cables, too, also in service, instead of by their `Bar.strength`.
+            name; others have none. One for all also holds for cables that are laid later. Named
+            bars that only pull, guys, are judged as cables, too, also in service, instead of by
+            their `Bar.strength`.
         patches
             Radii on the stress-free membrane of the reinforcement around its corners (length), by
             group of points, or one for all corners. Within them the strengths of the plain fabric
@@ -70,9 +72,9 @@ class Design:
         Raises
         ------
         InputError
-            On all ranks: an unknown part or group of points, overlapping parts, strengths that are
-            not positive, strengths of a `codes.FabricDesign` in other units than the stiffness, or
-            a negative radius.
+            On all ranks: an unknown part, cable, guy or group of points, overlapping parts,
+            strengths that are not positive, strengths of a `codes.FabricDesign` in other units than
+            the stiffness, or a negative radius.
 
         Examples
         --------
@@ -87,7 +89,9 @@ class Design:
         found = checked_strengths(
             "set_strengths", strengths, mesh, self.membrane.materials.values()
         )
-        ropes = checked_cables("set_strengths", cables)
+        guys = [bar.name for bar in self._frame.bars if bar.bar.tension_only]
+        laid = [cable.name for cable in self._net.cables]
+        ropes = checked_cables("set_strengths", cables, [*laid, *guys])
         self.membrane.patches = patch_radii("set_strengths", patches, mesh)
         self.membrane.strengths, self.cables = found, ropes
 

@@ -231,7 +231,7 @@ class Scene:
         self._frame = Frame(self.membrane, self.versions)
         self._loads = Loads(self.net, self.versions, self.frame)
         self._air = Air(self.net, self.versions, pressure)
-        self._design = Design(self.membrane, self.frame)
+        self._design = Design(self.membrane, self.frame, self.net)
         self._floor_level: float | None = None
         self._terms: tuple[EnergyTerm, ...] = ()
         self._energies: Mapping[str, float] = {}

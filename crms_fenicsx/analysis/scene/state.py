@@ -33,6 +33,7 @@ class LoadCase:
     base: SceneState | None = None  # in operation, before the loads of a combination; None: unknown
     prestress: float = 1.0  # partial factor of the prestress
     without: tuple[str, ...] = ()  # names of cables and bars that are missing
+    stage: int = 0  # number of the last stage of erection that led to it
 
 
 @dataclass(frozen=True, repr=False)

@@ -180,7 +180,8 @@ def combined(
     for name, given in checks.in_one_order(scene.comm, combinations).items():
         with solver.branch(name) as start:
             base = next((one.base for one in found.values()), start)  # equal, so kept once
-            case = LoadCase(given.state, base, given.prestress, given.without)
+            last = start.case.stage
+            case = LoadCase(given.state, base, given.prestress, given.without, last)
             scene.record(case=case)
             L0 = prepare(scene, given)
             try:
@@ -211,9 +212,11 @@ def staged(solver: Combines, name: str, state: str) -> Iterator[SceneState]:
     if name in solver.stages:
         raise InputError(f"{call} is a stage already; use another name.")
     _check_outermost(solver, "stage", name)
+    _check_newest(solver, call)
     _check_strengths(scene, call, state, {})
     before, first, solver.case = solver.snapshot(), len(solver.steps), name
-    case = LoadCase(state, before)
+    number = before.case.stage + 1
+    case = LoadCase(state, before, stage=number)
     scene.record(case=case)
     try:
         yield before
@@ -233,9 +236,20 @@ def staged(solver: Combines, name: str, state: str) -> Iterator[SceneState]:
         raise
     finally:
         solver.case = ""
-    number = len(solver.stages) + 1
     solver.stages[name] = Combination(name, solver.steps[-1], solver.snapshot(), before, number)
-    scene.record(case=LoadCase())  # what follows is judged as usual
+    scene.record(case=LoadCase(stage=number))  # what follows is judged as usual
+
+
+def _check_newest(solver: Combines, call: str) -> None:
+    """Refuse a stage that would follow on an earlier one than the last."""
+    later = [x for x in solver.stages.values() if x.stage > solver.scene.case.stage]
+    if later:
+        names = ", ".join(repr(one.name) for one in later)
+        raise InputError(
+            f"{call} would begin in an earlier state than that after {later[-1].name!r}: go on "
+            f"from there by solver.restore(solver.stages[{later[-1].name!r}].snapshot), or delete "
+            f"the stages that it replaces ({names}) from solver.stages first."
+        )
 
 
 def _check_outermost(solver: Combines, call: str, name: str) -> None:

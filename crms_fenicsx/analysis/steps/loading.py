@@ -25,6 +25,7 @@ from crms_fenicsx.model.laid_cable import LaidCable
 from crms_fenicsx.model.materials import UFL_LAW
 from crms_fenicsx.model.membrane_load import MembraneLoad, Pond
 from crms_fenicsx.model.sealed_air import FanControl, SealedAir
+from crms_fenicsx.model.temperature import MOST_CHANGE
 
 LoadT = TypeVar("LoadT", MembraneLoad, Pond)
 
@@ -93,6 +94,11 @@ def _checked_pressure(
             for name, value in given.items()
             if value is not None
         }
+        if not 0.5 <= changed.get("temperature", 1.0) <= 2.0:
+            raise InputError(
+                f"advance: temperature = {temperature!r}; pass the air's absolute temperature over "
+                "that at sealing, from 0.5 to 2: 1.07 for 20 degrees more at 293 K."
+            )
         return _InnerPressure(scene.pressure, scene.pressure, air=(air, replace(air, **changed)))
     if isinstance(pressure, FanControl | Sequence) and not isinstance(pressure, str):
         fans = (pressure,) if isinstance(pressure, FanControl) else tuple(pressure)
@@ -209,6 +215,13 @@ def _changes(
     for load, change in scene.loads.warmings(one):
         ends = factors.get(load.name, (load.factor, load.factor))
         first, last = first + ends[0] * change, last + ends[1] * change
+    if abs(last) > MOST_CHANGE:
+        name = scene.membrane.parts.get(one, "the fabric") if isinstance(one, int) else one.name
+        raise InputError(
+            f"advance: the temperature of {name} changes by {last:g} K, the sum of factors times "
+            f"changes; the law of thermal expansion holds up to {MOST_CHANGE:g} K: pass factors "
+            "such as 1.0, and the kelvins to put_temperature."
+        )
     return first, last
 
 

@@ -248,10 +248,11 @@ def slips_sideways(
 def law_sideways(
     cable: LaidCable, grip: LateralFrictionState, shape: StripShape
 ) -> LateralLaw | None:
-    """Lateral law reduced by axial friction at the nodes with friction; None if unchanged."""
+    """Lateral law reduced by axial friction at the nodes with friction; None if unchanged, as of a
+    cable with a part in tension that as a whole is no longer than unstressed."""
     friction, axial = cable.cable.sideways, cable.state.law.axial
     assert friction is not None
-    if not cable.cable.cone or axial is None or not len(axial.spans):
+    if not cable.cable.cone or axial is None or not len(axial.spans) or cable.length <= cable.L0:
         return None
     nodes = held_nodes(cable)
     row_of = {support: row for row, support in enumerate(axial.supports)}

@@ -38,7 +38,7 @@ ROUNDING = 32 * EPSILON
 """Force residual at convergence, relative to the stiffness of the spans."""
 INSIDE = 0.9
 """Largest step, relative to the one that makes a span's unstressed length or strain vanish."""
-LEAST = 1e-3
+LEAST = 1e-9
 """Stiffness of a slack span, relative to that of a taut one; it only limits the steps."""
 
 
@@ -131,7 +131,11 @@ def find_slips(kind, span, rest, L0, bound, eps, s, d):  # type: ignore[no-untyp
             diagonal[k], upper[k] = left + right, -right
             if bound[k] > 0.0:
                 y = abs(s[k]) / eps[k]
-                diagonal[k] += 2.0 * bound[k] / eps[k] * max(1.0 - y, 0.0)
+                if kind == ENERGY and y > 0.0 and (d[k] >= span[k] or d[k + 1] >= span[k + 1]):
+                    # beside a slack span friction is what moves the node, back by its whole slip
+                    diagonal[k] += friction_force(s[k], bound[k], eps[k]) / s[k]
+                else:
+                    diagonal[k] += 2.0 * bound[k] / eps[k] * max(1.0 - y, 0.0)
             residual = max(residual, abs(g[k]))
             # rounding errors of span and d in the forces
             size = max(size, 1.0 if kind == ENERGY else max(left * d[k], right * d[k + 1]))

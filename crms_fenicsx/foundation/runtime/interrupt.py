@@ -79,7 +79,10 @@ def stop_together(comm: MPI.Intracomm) -> None:
         return
     _noted = 0
     if comm.rank == 0:
-        logger.warning("stopped by %s", signal.Signals(number).name)
+        logger.warning(
+            "stopped by %s; files of the results are whole, and with Solver(..., resume=True) the "
+            "next run continues from the last load step", signal.Signals(number).name,
+        )  # fmt: skip
     if number == signal.SIGTERM:
         raise SystemExit(128 + number)
     raise KeyboardInterrupt

@@ -111,6 +111,9 @@ def test_a_cable_over_sealed_air(comm: MPI.Intracomm) -> None:
         np.testing.assert_allclose(again, total, atol=1e-6 * np.abs(total).max())
     with solver.branch("hot"):
         scene.seal(volume=volume, atmosphere=0.3)
+        for given in (293.0, 20.0, 0.02):
+            with pytest.raises(InputError, match=r"over that at sealing, from 0\.5 to 2"):
+                solver.advance(temperature=given)
         solver.advance(temperature=1.02)
         assert scene.pressure > pressure
     assert scene.air.sealed is None

@@ -287,6 +287,32 @@ def test_a_state_restored_within_a_stage_is_that_of_its_step(
     assert len(found.steps) == 2
 
 
+def test_stages_lead_to_each_other(comm: MPI.Intracomm) -> None:
+    """One after an earlier state than the last stage's is refused, until those between are gone."""
+    solver = roof(comm)
+    for k in (1, 2, 3):
+        with solver.stage(f"crew {k}"):
+            solver.advance(load={"crew": float(k)})
+    for earlier in (solver.stages["crew 1"].snapshot, solver.stages["crew 1"].base):
+        solver.restore(earlier)
+        solver.combine({"gust": {}})  # states of erection may have combinations
+        with pytest.raises(InputError, match=r"earlier state.*\(.*'crew 2', 'crew 3'\)"):
+            with solver.stage("other"):
+                raise AssertionError
+    assert list(solver.stages) == ["crew 1", "crew 2", "crew 3"]
+    solver.restore(solver.stages["crew 3"].snapshot)
+    with solver.stage("crew 4"):
+        solver.advance(load={"crew": 4.0})
+    assert solver.stages["crew 4"].stage == 4
+    solver.restore(solver.stages["crew 1"].snapshot)
+    solver.advance(load={"crew": 1.5})
+    for k in (2, 3, 4):
+        del solver.stages[f"crew {k}"]
+    with solver.stage("other"):
+        solver.advance(load={"crew": 2.5})
+    assert [one.stage for one in solver.stages.values()] == [1, 2]
+
+
 def test_bad_stages_are_refused_before_anything_is_computed(comm: MPI.Intracomm) -> None:
     solver = roof(comm)
     with solver.stage("crew"):

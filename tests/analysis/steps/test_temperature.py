@@ -447,6 +447,11 @@ def test_bad_input(comm: MPI.Intracomm) -> None:
     ):
         with pytest.raises(InputError, match=words):
             scene.put_temperature(change, name=name)  # type: ignore[arg-type]
+    for factor in (30.0, -7.0):  # kelvins as a factor, or a sum that is too large
+        with pytest.raises(InputError, match=r"changes by .* K, the sum of factors times changes"):
+            solver.advance(load={COLD: factor})
+        with pytest.raises(InputError, match=r"combine: 'C': advance: the temperature of"):
+            solver.combine({"C": {COLD: factor}})
     scene.lay_cable(Cable(1e3), [(0.0, 2.4), (4.0, 2.4)], name="strut")
     with pytest.raises(InputError, match="'strut' is the name of several things"):
         scene.put_temperature({"strut": 3.0}, name="t")

@@ -483,6 +483,23 @@ def test_slack_spans_have_no_tension() -> None:
     assert np.abs(s).max() < 1e-6
 
 
+def test_slack_spans_are_as_long_as_they_like() -> None:
+    """Of a nearly slack chain with three spans in tension: between slack ones friction of 1e-10 of
+    EA brings nodes back to where they have no slip, soon."""
+    spans = np.array([10.020716320, 9.763430773, 9.467800322, 11.323795169, 11.808231211,
+                      12.467055930, 13.024774050, 13.422646416, 13.631030025])  # fmt: skip
+    rest = np.array([10.027547045, 19.813914993, 29.293633273, 40.606216203, 52.418013658,
+                     64.891500363, 77.920840366, 91.356148969])  # fmt: skip
+    bound = np.array([2.6e-10, 8.1e-10, 6.3e-6, 5.6e-9, 1.9e-9, 4.2e-8, 1.9e-9, 1.1e-9])
+    eps = np.array([1.6e-11, 4.9e-11, 1.8e-7, 7e-11, 2.5e-11, 8.8e-10, 2.6e-11, 1.3e-11])
+    s, d, L0 = np.zeros(8), np.zeros(9), 104.991564180
+    assert 0 <= find_slips(ENERGY, spans, rest, L0, bound, eps, s, d) < 30
+    strains = np.maximum(spans - d, 0.0) / d
+    assert np.flatnonzero(strains).tolist() == [3, 4, 5]
+    np.testing.assert_allclose(-np.diff(strains[3:6]), bound[3:5], rtol=1e-3)
+    assert (np.abs(s[[0, 1, 6, 7]]) < 1e-6 * eps[[0, 1, 6, 7]]).all()
+
+
 @pytest.mark.parametrize("kind", [ENERGY, LAW])
 def test_slips_from_a_start_that_leaves_a_span_nothing(kind: int) -> None:
     """After a change of the path: it is so stiff that nothing else counts beside it."""

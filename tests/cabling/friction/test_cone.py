@@ -15,7 +15,7 @@ from scipy.optimize import brentq
 from crms_fenicsx import Cable, Friction, InputError, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.analysis.verification.cable_forces import forces
 from crms_fenicsx.cabling.contact.contact_force import contact_forces
-from crms_fenicsx.cabling.friction.slip import Slip, shares
+from crms_fenicsx.cabling.friction.slip import Slip, law_sideways, shares
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.model.laid_cable import LaidCable
 
@@ -191,6 +191,17 @@ def test_verification_sees_what_is_beyond_the_cone(comm) -> None:
     assert forces(cable, shape, 0.0, None)["friction beyond its bound"] < 0.1
     cable.update(cable=replace(cable.cable, friction=replace(box, cone=True)))
     assert forces(cable, shape, 0.0, None)["friction beyond its bound"] > 0.3
+
+
+def test_a_slack_cable_has_no_cone(comm) -> None:
+    """One part of it may be in tension, but the slip that mobilises friction follows the strain of
+    the whole."""
+    scene, cable, _ = dragged(comm, Friction(0.3, along=0.3, cone=True), np.radians(60.0))
+    shape, grip = scene.net.strip_shape(), cable.state.law.lateral
+    law = law_sideways(cable, grip, shape)
+    assert law is not None and np.isfinite([law.bound, law.width, law.elastic]).all()
+    cable.update(length=0.999 * cable.L0)
+    assert law_sideways(cable, grip, shape) is None
 
 
 def test_refusals() -> None:

@@ -212,6 +212,18 @@ def test_strengths_of_cables_by_limit_state(comm: MPI.Intracomm) -> None:
     assert used["C"] == [pytest.approx(a.tensions.max() / 13.5), None]
     with pytest.raises(InputError, match="strength of the cable 'A' = -1"):
         scene.set_strengths((40.0, 40.0), cables={"A": -1.0})
+    ends = [scene.add_joint((x, 0.0, 3.0), held="xyz") for x in (0.0, 4.0)]
+    scene.add_bar(Bar(EA=1e3), *ends, name="strut")
+    scene.add_bar(Bar(EA=1e3, tension_only=True), *ends, name="guy")
+    scene.set_strengths((40.0, 40.0), cables={"A": 9.0, "guy": 8.0})
+    for name in ("a", "A1", "strut"):
+        with pytest.raises(
+            InputError, match=f"no cable or guy '{name}'; there are 'A', 'B', 'guy'"
+        ):
+            scene.set_strengths((4.0, 4.0), cables={"A": 9.0, name: 9.0})
+    assert scene.design.cables == {"A": 9.0, "guy": 8.0} and scene.membrane.strengths != {}
+    scene.set_strengths((40.0, 40.0), cables=7.0)  # also of cables that are laid later
+    assert scene.design.of_cable("C", "ULS") == 7.0
 
 
 @pytest.mark.parametrize(

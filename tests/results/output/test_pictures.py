@@ -826,3 +826,21 @@ def test_labels_of_colour_bars_are_not_cut_off(width: float) -> None:
     label, beside = bar.yaxis.label.get_window_extent(), bar.get_window_extent()
     assert label.height < 1.1 * beside.height
     assert label.x1 < figure.bbox.x1
+
+
+def test_coincident_lines_are_drawn_in_their_order_and_clamps_are_told() -> None:
+    points, triangles = square(3)
+    ends = np.array([[0.0, 50.0, 0.3], [100.0, 50.0, 0.3]])
+    clamped = {"tension": 2.0, "clamp": np.array([0.0, 1.0])}
+    ropes = [Line(ends, {"tension": 1.0}, "belt"), Line(ends - (0, 0, 0.2), clamped, "cable 1")]
+    for lines in (ropes, ropes[::-1]):
+        figure = draw_shape(None, points, triangles, lines, line_values="tension",
+                            line_limits=(0.0, 2.0), line_colours="gray", box=False)  # fmt: skip
+        axes = figure.axes[0]  # type: ignore[union-attr]
+        cores = next(one for one in axes.collections if one.get_zorder() == 4)
+        last = lines[-1].data["tension"] / 2.0  # type: ignore[operator]
+        assert cores.get_edgecolor()[-1][0] == pytest.approx(last, abs=0.01)
+        assert [text.get_text() for text in axes.get_legend().get_texts()] == ["clamp"]
+    figure = draw_shape(None, points, triangles, ropes[1:], line_values="tension")
+    texts = figure.axes[0].get_legend().get_texts()  # type: ignore[union-attr]
+    assert texts[0].get_text() == "cable: tension 2"

@@ -215,10 +215,13 @@ def test_pictures_get_the_whole_surface(
         values = moved[surface.triangles].mean(axis=1)
     elif colour is not None:
         name = QUANTITY_OF[colour]
-        corners = (
-            np.repeat(results.values(name)[:, None], 3, axis=1)
-            if colour == "state" else recovered(results, name)
-        )  # fmt: skip
+        if colour == "utilisation":  # by the strengths of `run`
+            corners = np.maximum(recovered(results, "warp") / 2.0, recovered(results, "weft"))
+        else:
+            corners = (
+                np.repeat(results.values(name)[:, None], 3, axis=1)
+                if colour == "state" else recovered(results, name)
+            )  # fmt: skip
         values = at_facets(results, corners).mean(axis=1)
     corners = np.concatenate(COMM.allgather(surface.points[surface.triangles]))
     everywhere = np.concatenate(COMM.allgather(values))

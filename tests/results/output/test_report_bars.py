@@ -142,7 +142,7 @@ def test_many_bars_share_rows_of_a_page(comm: MPI.Intracomm, folder: Path) -> No
     every = read_csv(folder / "belt_bars.csv")
     assert {row["Bar"] for row in every} == {bar.name for bar in scene.bars}
     envelope = next(row for row in page.tables["Envelope of the bars' forces"] if row[0] == belt)
-    assert float(envelope[1]) == pytest.approx(min(forces["calm"]), rel=1e-3)
+    assert float(envelope[1]) == pytest.approx(min(forces["calm"]), abs=6e-4)
     assert float(envelope[3]) == pytest.approx(max(forces["snow"]), rel=1e-3)
     assert envelope[4] == "snow" and max(forces["snow"]) > 2.0 * min(forces["snow"])
     assert families(["guy 1", "guy 2", "mast"]) == {n: [n] for n in ("guy 1", "guy 2", "mast")}

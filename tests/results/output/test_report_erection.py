@@ -79,6 +79,32 @@ def test_stages_have_a_chapter(comm: MPI.Intracomm, folder: Path) -> None:
     assert codes == {"rest": "LC0", "full": "LC1"} | expected_codes
 
 
+def test_envelopes_are_of_the_finished_roof(comm: MPI.Intracomm, folder: Path) -> None:
+    """Stages have their own chapter and rows of the summary; foundations carry them, too."""
+    solver = erected(comm)
+    found = solver.combine({"rest": {}, "full": {"crew": 1.5}})
+    solver.report(folder / "tent.html", found | solver.stages, unit="m", force="kN", pictures=[])
+    summaries = {}
+    for name, one in (found | solver.stages).items():
+        solver.restore(one.snapshot)
+        summaries[name] = solver.summary()
+    least = {name: one.cables["A1"].least for name, one in summaries.items()}
+    assert min(least, key=lambda name: least[name]) not in found
+    (row,) = read_csv(folder / "tent_cable_envelope.csv")
+    assert float(row["Least tension [kN]"]) == pytest.approx(min(least[name] for name in found))
+    forces = {row["Result"]: row for row in read_csv(folder / "tent_envelope.csv")}
+    for key, row in forces.items():
+        assert {row["Governs least"], row["Governs largest"]} <= {*found, ""}, key
+    page = Page((folder / "tent.html").read_text(encoding="utf-8"))
+    over = ", over all combinations without stages of erection"
+    for name in ("Envelope of the membrane", "Envelope of the cables' tensions"):
+        assert f"{name}{over}" in page.tables
+    held = page.tables[
+        "Largest forces on the foundations over all combinations and stages of erection"
+    ]
+    assert any({*row} & {*NAMES} for row in held)
+
+
 def test_stages_with_long_names_have_codes(comm: MPI.Intracomm, folder: Path) -> None:
     """Their chapter tells both; a report of stages alone has the model after the last one."""
     long = " after the ground anchors were tested"

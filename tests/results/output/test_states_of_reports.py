@@ -247,6 +247,18 @@ def test_combinations_of_models_that_differ_are_refused(comm: MPI.Intracomm, fol
     assert not (folder / "three.html").exists()
 
 
+def test_base_states_other_than_the_first_are_told(comm: MPI.Intracomm, folder: Path) -> None:
+    solver = roof(comm)
+    found = solver.combine({"calm": {}, "snow": {"snow": 0.3}})
+    solver.advance(load={"snow": 0.25}, pressure=0.4)
+    found |= solver.combine({"gust": {"snow": 0.3}, "more": {"snow": 0.4}})
+    page = page_of(solver, folder / "both.html", found)
+    text = "Base state of gust, more instead of LC0: inner pressure 0.4000, snow 0.2500."
+    assert text in page.words
+    page = page_of(solver, folder / "one.html", {"gust": found["gust"]})
+    assert not any("instead of LC0" in word for word in page.words)
+
+
 def test_the_base_state_of_a_loaded_state(comm: MPI.Intracomm, folder: Path) -> None:
     """Of a report without combinations: the state in which loads were first brought on."""
     scene = sheet(comm, 4, material=fabric(1e3), side=10.0)

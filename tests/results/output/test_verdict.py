@@ -13,11 +13,10 @@ from mpi4py import MPI
 from crms_fenicsx import Bar, Cable, IsotropicMembrane, Scene, Solver, meshes
 from crms_fenicsx.analysis.verification.report import Check
 from crms_fenicsx.model.versions import StateWarning
-from crms_fenicsx.results.design_checks import DesignCheck
-from crms_fenicsx.results.output.report.case import Case, case_of, shape_of
+from crms_fenicsx.results.design_checks import DesignCheck, Extreme
+from crms_fenicsx.results.output.report.case import Case, case_of, in_order, shape_of, with_codes
 from crms_fenicsx.results.output.report.page import Table, Units, Verdict
 from crms_fenicsx.results.output.report.results_tables import ResultTables
-from crms_fenicsx.results.output.report.sections import with_codes
 from crms_fenicsx.results.output.report.verdict import governing, verdict_on
 from crms_fenicsx.results.output.report.verdict import judged as judged_in
 from crms_fenicsx.results.summary import Summary
@@ -64,8 +63,13 @@ def test_reasons_in_plain_words(case: Case) -> None:
         "snow", "Corners to be reinforced"
     ]  # fmt: skip
     assert verdict.text.startswith("Verified: the state passed all checks")
-    staged = judged([good, replace(good, stage=1)])
-    assert staged.text.startswith("Verified: all 2 combinations and stages passed")
+    one, first = replace(good, state="accidental"), replace(good, state="erection", stage=1)
+    for cases, words in (
+        ([good, one, one], "all 2 combinations and the base state"),
+        ([one, first], "1 combination and 1 stage"),
+        ([good, one, one, first, first], "all 2 combinations, 2 stages and the base state"),
+    ):
+        assert judged(cases).text.startswith(f"Verified: {words} passed")
     for changed, words in (
         (replace(good, volume=-0.9), "turned inside out"),
         (replace(good, volume=0.3), "collapsed: 30.0 % of its inner volume"),
@@ -127,7 +131,7 @@ def test_rain_that_would_stand(case: Case) -> None:
     reason = verdict.reasons[-1]
     deepest = wet.summary.hollows[0]
     assert reason.startswith(
-        f"Rain would stand in 1 of 2 combinations, up to {deepest.depth:.3f} m deep at"
+        f"Rain would stand in 1 of 2 states, up to {deepest.depth:.3f} m deep at"
     )
     assert "(snow)" in reason
     assert "check the roof for ponding" in reason
@@ -191,8 +195,28 @@ def test_long_names_give_way_to_codes(case: Case) -> None:
     long = replace(case, name="ULS: 1.35 weight + 1.5 snow + 0.9 wind")
     factors = Table("F", ("Case", "Combination"), [("LC1", case.name), ("LC2", long.name)])
     for cases in ([case, long], [long, case]):
-        assert [one.name for one in with_codes(cases, factors)] == ["LC1", "LC2"]
+        found = with_codes(in_order(cases, factors), factors)
+        assert [one.name for one in found] == ["LC1", "LC2"]
     assert with_codes([case], factors) == [case]
+
+
+def test_the_sentence_on_the_mesh_names_the_case_that_governs(case: Case) -> None:
+    """As tables do, also where the change in another case is larger, unless that one may exceed the
+    strength; of equal cases the first in the report's order."""
+
+    def used(name: str, value: float, change: float) -> Case:
+        part = case.summary.parts[""]
+        largest = {**part.largest, "utilisation": Extreme(value, (0.0, 0.0, 0.0))}
+        parts = {"": replace(part, largest=largest, change=change)}
+        return replace(case, name=name, summary=replace(case.summary, parts=parts))
+
+    for cases, name in (
+        ([used("A", 0.5381, 0.07), used("B", 0.5378, 0.09)], "A"),
+        ([used("B", 0.5, 0.0), used("A", 0.5 + 1e-10, 0.0)], "B"),
+        ([used("A", 0.95, 0.01), used("B", 0.9, 0.2)], "B"),
+    ):
+        (text,) = [one for one in judged(cases).reasons if "finer cells" in one]
+        assert text.startswith(f"{name}: the membrane is loaded to")
 
 
 def test_reasons_are_grouped_by_limit_state_and_member(case: Case) -> None:

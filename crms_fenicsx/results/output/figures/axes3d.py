@@ -39,7 +39,7 @@ FLAT = 1e-6
 """Range of heights, ways or values, relative to their size, up to which they are one."""
 _SMALL = 8.5
 Entry = tuple[Any, str, str]
-"""Colour, text and kind ("line", "patch", "foot" or "stripes") in a legend; "" omits it."""
+"""Colour, text, kind ("line", "patch", "foot", "clamp" or "stripes") in a legend; "" omits it."""
 
 
 def with_unit(label: str, unit: str) -> str:
@@ -255,8 +255,9 @@ class Axes3D:
         def handle(colour: Any, text: str, kind: str) -> Any:
             if kind == "patch":
                 return Patch(facecolor=colour, edgecolor=INK, linewidth=0.6, label=text)
-            if kind == "foot":
-                return Line2D([], [], linestyle="", marker=foot(), markersize=8, label=text,
+            if kind in ("foot", "clamp"):
+                marker, size = (foot(), 8.0) if kind == "foot" else ("o", 3.5)
+                return Line2D([], [], linestyle="", marker=marker, markersize=size, label=text,
                               markerfacecolor="white", markeredgecolor=colour)  # fmt: skip
             dashes = STRIPES if kind == "stripes" else "solid"
             return Line2D([], [], color=colour, linewidth=2.2, label=text, gapcolor=RIM,

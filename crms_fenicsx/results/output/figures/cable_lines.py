@@ -81,6 +81,7 @@ class _LineStyle:
     paint: ScalarMappable | None
     note: str  # legend text of a value common to all lines, or ""
     off: list[Booleans]  # whether each line's segments are off the surface
+    clamps: list[Array]  # (k, 3) clamps of each line
 
     @property
     def off_colour(self) -> Any:
@@ -111,15 +112,17 @@ def line_style(
                 known = ", ".join(line.data) or "no data"
                 raise InputError(f"the line {line.name!r} has no {data!r}; it has {known}.")
     off = [_off_segments(line, loose) for line in lines]
+    clamps = [np.asarray(line.points)[line.data["clamp"] > 0.0] for line in lines
+              if "clamp" in line.data]  # fmt: skip
     if name is None:
-        return _LineStyle([], None, "", off)
+        return _LineStyle([], None, "", off, clamps)
     values = [np.asarray(line.data[name]) for line in lines]
     paint, note = colouring(np.concatenate([v.ravel() for v in values]), label, limits, colours)
     if note and len(lines) > 1:
         note = f"{len(lines)} cables: {note}"
     elif note and lines[0].name:
-        note = f"{lines[0].name}: {note}"
-    return _LineStyle(values, paint, note, off)
+        note = f"{re.sub(r'^cable 1$', 'cable', lines[0].name)}: {note}"
+    return _LineStyle(values, paint, note, off, clamps)
 
 
 def _off_segments(line: Line, name: str | None) -> Booleans:
@@ -140,10 +143,11 @@ def paint_lines(
     clip: tuple[Array, Array] | None,
     show_names: bool,
 ) -> None:
-    """Paint the parts of lines not hidden by triangles (m, 3, 3)."""
+    """Paint the parts of lines not hidden by triangles (m, 3, 3), of coincident lines the last."""
     runs: list[Array] = []
     run_values: list[float] = []
     run_off: list[bool] = []
+    depths: list[float] = []
     for number, line in enumerate(lines):
         flat = axes3d.camera.project(line.points)
         ends = np.stack([flat[:-1], flat[1:]], axis=1)
@@ -158,13 +162,14 @@ def paint_lines(
         for start, end in _runs(np.column_stack([seen, values, off])):
             if seen[start]:
                 runs.append(nodes[start : end + 1])
+                depths.append(runs[-1][:, 2].mean() + tolerance * number / len(lines))
                 run_values.append(float(values[start]))
                 run_off.append(bool(off[start]))
         if show_names and line.name and seen.any():
             annotate(axes3d.axes, line.name, nodes[np.flatnonzero(seen)[-1] + 1, :2], (4, 4), 8.5)
     if not runs:
         return
-    order = np.argsort([run[:, 2].mean() for run in runs], kind="stable")
+    order = np.argsort(depths, kind="stable")
     paths = [runs[i][:, :2] for i in order]
     cores = CABLE if style.paint is None else style.paint.to_rgba(np.array(run_values)[order])
     styles = [STRIPES if run_off[i] else "solid" for i in order]
@@ -174,12 +179,10 @@ def paint_lines(
             joinstyle="round", zorder=zorder,
             capstyle="butt" if dashes is styles and any(run_off) else "round",
         )  # fmt: skip
-    for line in lines:
-        held = np.asarray(line.data.get("clamp", 0.0)) > 0.0
-        if held.any():
-            at = axes3d.camera.project(np.asarray(line.points)[held])
-            at = at[visible(at, triangles, tolerance)]
-            axes3d.axes.scatter(at[:, 0], at[:, 1], s=12.0, c="white", edgecolors=RIM, zorder=5)
+    for clamps in style.clamps:
+        at = axes3d.camera.project(clamps)
+        at = at[visible(at, triangles, tolerance)]
+        axes3d.axes.scatter(at[:, 0], at[:, 1], s=12.0, c="white", edgecolors=RIM, zorder=5)
 
 
 def _seen(

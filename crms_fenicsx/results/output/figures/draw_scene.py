@@ -177,13 +177,13 @@ def draw(
     defaults |= {"limits": (0.0, 2.0)} if colour == "state" else {}
     defaults |= {"without": "reinforced corner"} if colour == "utilisation" else {}
     if tensions and (scene.bars or any(cable.taut for cable in scene.cables)):
-        kind = "axial force" if scene.bars else "tension"
-        defaults |= {"line_label": with_unit(kind, force), "line_values": "tension"}
-        defaults |= _signed_colours(scene)
+        defaults |= _coloured_forces(scene, force)
     options = {**defaults, **options}
     if any(cable.state.lifted.any() for cable in scene.cables):
         options.setdefault("loose", "lifted")
-    lines = [*bar_lines(scene.bars), *cable_lines(scene.net)]
+    belts = {cable.name for cable in scene.cables if cable.hold == "bonded"}
+    ropes = sorted(cable_lines(scene.net), key=lambda line: line.name not in belts)
+    lines = [*bar_lines(scene.bars), *ropes]  # belts below the cables in their pockets
     piece = replace(surface_piece(scene.membrane, shape, {}), cell_data=fields)
     surface = whole_surface(scene.comm, piece)
     free = whole_surface(scene.comm, _stress_free(scene)) if ghost else None
@@ -278,13 +278,16 @@ def spread(places: Array, step: float) -> Integers:
     return np.asarray(order[first])
 
 
-def _signed_colours(scene: Scene) -> dict[str, Any]:
-    """Colour scale of forces from blue compression to red tension, if there is compression."""
+def _coloured_forces(scene: Scene, force: str) -> dict[str, Any]:
+    """Colours of cables and bars by their forces, from blue compression if there is any to red
+    tension, and their label with the unit of force."""
+    kind = "axial force" if scene.bars else "tension"
+    found: dict[str, Any] = {"line_label": with_unit(kind, force), "line_values": "tension"}
     forces = [bar.force for bar in scene.bars]
-    if min(forces, default=0.0) >= 0.0:
-        return {}
-    most = max(map(abs, [*forces, *(float(cable.tensions.max()) for cable in scene.cables)]))
-    return {"line_limits": (-most, most), "line_colours": SIGNED}
+    if min(forces, default=0.0) < 0.0:
+        most = max(map(abs, [*forces, *(float(cable.tensions.max()) for cable in scene.cables)]))
+        found |= {"line_limits": (-most, most), "line_colours": SIGNED}
+    return found
 
 
 @collective

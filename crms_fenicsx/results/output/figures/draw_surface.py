@@ -15,6 +15,7 @@ from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers
 from crms_fenicsx.foundation.runtime.errors import InputError
 from crms_fenicsx.results.output.figures.axes3d import (
     INK,
+    RIM,
     Axes3D,
     bounds,
     check_view,
@@ -204,6 +205,7 @@ def draw_shape(
     legend = [
         (_FABRIC, note, "patch"), (NO_VALUE, without, "patch"), (CABLE, style.note, "line"),
         (style.off_colour if striped else CABLE, striped, "stripes"),
+        (RIM, "clamp" * any(map(len, style.clamps)), "clamp"),
         (INK, "held edge" * bool(len(held)), "line"), (INK, "support" * bool(len(feet)), "foot"),
     ]  # fmt: skip
     axes3d = Axes3D(camera, low, high, how.title, len(bars), how.width, legend)
@@ -241,7 +243,7 @@ def _paint_surface(
         if values.ndim == 2:
             # between 60 colours the eye sees no edges
             step = (np.ptp(paint.get_clim()) or 1.0) / 60.0
-            faces, values, parent, side = _fine(flat, values, step, 2.0 * axes3d.point)
+            faces, values, parent, side = _fine(flat, values, step, 2.5 * axes3d.point)
             shown = np.column_stack([shown, np.zeros(len(flat), dtype=bool)])
             shown, strength = shown[parent[:, None], side], strength[parent]
         colours = paint.to_rgba(values)[:, :3]

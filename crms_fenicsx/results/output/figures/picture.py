@@ -64,11 +64,11 @@ def add_polygons(axes: Axes, polygons: Array, **look: Any) -> None:
     axes.add_collection(PolyCollection(polygons, **look), autolim=False)  # type: ignore[arg-type]  # an array is fast
 
 
-def png_of(figure: Figure, dpi: int, region: Bbox | str = "tight") -> bytes:
+def png_of(figure: Figure, dpi: int, region: Bbox | str = "tight", packing: int = 6) -> bytes:
     """A figure, or a region of it (inches), as PNG."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=dpi, bbox_inches=region, pad_inches=MARGIN,
-                   pil_kwargs={"compress_level": 1})  # fmt: skip
+                   pil_kwargs={"compress_level": packing})  # fmt: skip
     return buffer.getvalue()
 
 
@@ -80,7 +80,7 @@ def finished(
         with replaced(path) as partial:
             figure.savefig(partial, dpi=dpi, bbox_inches=region, pad_inches=MARGIN)
         return None
-    figure._repr_png_ = lambda dpi=100: png_of(figure, dpi, region)  # type: ignore[attr-defined]
+    figure._repr_png_ = lambda dpi=100: png_of(figure, dpi, region, 1)  # type: ignore[attr-defined]
     return figure
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from mpi4py import MPI
@@ -16,7 +16,7 @@ from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.results.design_checks import Extreme, extreme
 from crms_fenicsx.results.foundations import Foundations, foundations
 from crms_fenicsx.results.membrane_results import MembraneResults, membrane_results
-from crms_fenicsx.results.output.report.page import Figure
+from crms_fenicsx.results.output.report.page import Figure, Table
 from crms_fenicsx.results.quantities import Solved
 from crms_fenicsx.results.summary import Summary, summary
 
@@ -52,6 +52,8 @@ class Case:
     pictures: tuple[Figure, ...] = ()
     view: str = ""
     stage: int = 0  # number of the stage of erection; 0 for a combination
+    # pressure and load factors of the combination's base state, if it is not that of the first one
+    base: tuple[float, Mapping[str, float]] | None = None
 
     @property
     def acting(self) -> tuple[float, Mapping[str, float], float, tuple[str, ...]]:
@@ -137,3 +139,25 @@ def _shape_change(before: Shape, scene: Scene) -> tuple[float | None, float, Ext
     volume = now.volume / before.volume if before.encloses else None
     sizes = norm(now.places - before.places)
     return volume, share, extreme(scene.comm, sizes, now.places, largest=True)
+
+
+def in_order(cases: Sequence[Case], factors: Table) -> list[Case]:
+    """The cases in the order of their codes LC0, LC1 ..., so that all tables name the same one
+    first."""
+    order = [name for row in factors.rows for name in map(str, row[:2])]
+    return sorted(cases, key=lambda case: order.index(case.name))
+
+
+def with_codes(cases: Sequence[Case], factors: Table) -> list[Case]:
+    """The cases; if a name is long, renamed to their codes LC0, LC1 ..."""
+    codes = {str(row[1]): str(row[0]) for row in factors.rows}
+    codes |= {code: code for code in codes.values()}
+    if max(len(case.name) for case in cases) < 28:
+        return list(cases)
+    return [
+        replace(case, name=codes[case.name], pictures=tuple(
+            replace(one, caption=one.caption.replace(case.name, codes[case.name], 1))
+            for one in case.pictures
+        ))
+        for case in cases
+    ]  # fmt: skip

@@ -1,19 +1,18 @@
-"""Tables of design values: strengths of fabric, cables and bars, with all their factors."""
+"""Tables of load factors and of design values of fabric, cables and bars, with all factors."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import groupby
 
 from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.model.bar import PlacedBar
 from crms_fenicsx.model.strengths import ALL, LIMIT_STATES, SERVICE, CableDesign, Limits
-from crms_fenicsx.results.output.report.case import Case
+from crms_fenicsx.results.output.report.case import BASE, Case
 from crms_fenicsx.results.output.report.page import WHOLE, Cell, Table, Units, number, shown
 from crms_fenicsx.results.output.report.results_tables import Row
-from crms_fenicsx.results.output.report.verdict import listed
 
 CABLES = (
     "Cable|F_min{force}|k_e|F_uk = k_e F_min{force}|F_k{force}|gamma_R|F_Rd{force}|"
@@ -28,10 +27,11 @@ MAKE = (
 """Headings of the make of cables."""
 
 BARS = (
+    "Design values of the bars, at their lengths in the base state",
     "Bar|Section|EI{bending}|gamma_M|N_t,Rd{force}|Curve|L_cr{length}|N_cr{force}|Slenderness|chi|"
-    "N_b,Rd{force}"
+    "N_b,Rd{force}",
 )
-"""Headings of bars' design values."""
+"""Caption and headings of bars' design values."""
 
 
 def _ropes(scene: Scene) -> dict[str, tuple[float, float | CableDesign | None]]:
@@ -111,7 +111,7 @@ def fabric_values(cases: Sequence[Case], units: Units) -> Table:
     columns += units.headings("f_d warp{stress}|f_d weft{stress}|Combinations")
     every = sum(bool(case.summary.design) for case in cases)
     rows: list[Row] = [
-        (*key, "all" if len(names) == every else listed(names)) for key, names in found.items()
+        (*key, "all" if len(names) == every else ", ".join(names)) for key, names in found.items()
     ]
     return Table("Design strengths of the membrane", columns, rows, small=bool(divided))
 
@@ -132,3 +132,49 @@ def limits_in_service(limits: Limits, units: Units) -> list[Row]:
     if limits.water is not None:
         rows.append(("Deepest standing water", f"{number(limits.water)}{units.plain('length')}"))
     return rows
+
+
+def load_factors(
+    cases: Sequence[Case], units: Units, pressure: float, factors: Mapping[str, float]
+) -> Table:
+    """Pressure and load factors of the cases and the base state, which has these."""
+    acting = [(case.name, case.summary.pressure, case.summary.factors) for case in cases]
+    every = [one for one, case in zip(acting, cases, strict=True) if not case.stage]
+    divided = {
+        case.name: max(one.divisor for one in case.summary.design.values())
+        for case in cases
+        if case.summary.design
+    }
+    reduced = any(x != 1.0 for x in divided.values())
+    of = {case.name: case for case in cases}
+    unchanged = pressure, factors, 1.0, ()
+    base = [one for one in every if of[one[0]].acting == unchanged]
+    if every and not base:
+        base = [("base state", pressure, factors)]
+    every = base + [one for one in every if one not in base]
+    first = 1 if len(every) == 1 and base[0][0] != "base state" else 0
+    codes = [f"LC{k}" for k in range(first, len(every) + first)]
+    codes += [f"S{case.stage}" for case in cases if case.stage]
+    every += [one for one, case in zip(acting, cases, strict=True) if case.stage]
+    loads = list(dict.fromkeys(load for _, _, known in every for load in known))
+    pressed = any(p for _, p, _ in every)
+    tight = any(case.prestress != 1.0 for case in cases)
+    rows: list[Row] = [
+        (
+            code,
+            "base state" if name == BASE else name,
+            (of[name].state or None) if name in of else None,
+            of[name].prestress if name in of and tight else None,
+            (", ".join(of[name].without) or None) if name in of else None,
+            p if pressed else None,
+            *(known.get(load) or None for load in loads),
+            divided.get(name) if reduced else None,
+        )
+        for code, (name, p, known) in zip(codes, every, strict=True)
+    ]
+    columns = units.headings(
+        "Case|Combination|Limit state|Prestress|Without|Inner pressure{pressure}"
+    )
+    columns += [*loads, "Strengths divided by"]
+    caption = f"{'Inner pressure and factors' if pressed else 'Factors'} of the loads"
+    return Table(caption, columns, rows, "combinations", small=len(loads) > 4)

@@ -14,6 +14,7 @@ import numpy as np
 
 from crms_fenicsx.results.cable_and_bar_results import Force, triple
 from crms_fenicsx.results.cable_order import Order
+from crms_fenicsx.results.design_checks import governing_of
 from crms_fenicsx.results.foundations import FoundationPoint
 from crms_fenicsx.results.output.report.case import Case
 from crms_fenicsx.results.output.report.page import Table, Units
@@ -98,7 +99,8 @@ class FoundationTables:
             + DIRECTION
             + ("|Mx{energy}|My{energy}|Mz{energy}" if turned else "")
         )
-        return Table("Forces on the foundations", columns, rows, "foundations", headings=2)
+        caption = "Forces on the foundations"
+        return Table(caption, columns, rows, "foundations", headings=2, even=True)
 
     def governing(self) -> Table:
         """Forces and moments in those combinations in which a foundation's are largest."""
@@ -116,7 +118,7 @@ class FoundationTables:
     def _governing(found: Mapping[str, FoundationPoint]) -> tuple[str, str, str, str]:
         """Combinations of the largest uplift, downward, horizontal and total force."""
         up, down, flat, most = (
-            max(found, key=lambda name, of=of: of(found[name].force))  # type: ignore[misc]
+            governing_of(found, lambda name, of=of: of(found[name].force))  # type: ignore[misc]
             for of in (
                 lambda f: f[2], lambda f: -f[2], lambda f: math.hypot(f[0], f[1]),
                 lambda f: math.dist(f, (0.0, 0.0, 0.0)),
@@ -133,7 +135,7 @@ class FoundationTables:
             rows = [(row[k], str(row[0]), str(row[k + 1])) for row in every]
             sizes = [(size, label, case) for size, label, case in rows if isinstance(size, float)]
             if sizes:
-                size, label, case = max(sizes)
+                size, label, case = governing_of(sizes, lambda one: one[0])
                 found.append((kind, label, size, case))
         return found
 
@@ -154,17 +156,18 @@ class FoundationTables:
                 case.name: triple(case.foundations.per_length.reshape(-1, 3)[k])
                 for case in self.cases if case.foundations.rim.shape == first.rim.shape
             }  # fmt: skip
-            size, governs = max((math.hypot(*one), name) for name, one in own.items())
-            lift, up = max((one[2], name) for name, one in own.items())
+            governs, most = governing_of(own.items(), lambda one: math.hypot(*one[1]))
+            up, (_, _, lift) = governing_of(own.items(), lambda one: one[1][2])
+            size = math.hypot(*most)
             rows.append((
-                *map(self.units.exact, triple(ends[k])), *clean(own[governs], size, NOTHING),
+                *map(self.units.exact, triple(ends[k])), *clean(most, size, NOTHING),
                 size, governs, *((lift, up) if lift > NOTHING * size else (None, None)),
             ))  # fmt: skip
         columns = self.units.headings(
             "x{length}|y{length}|z{length}|fx{stress}|fy{stress}|fz{stress}|Size{stress}|Governs|"
             "Largest uplift{stress}|Governs uplift"
         )
-        return Table(caption, columns, rows, "rim")
+        return Table(caption, columns, rows, "rim", even=True)
 
     def envelope(self, cases: Collection[str] | None = None) -> Table:
         """Governing combinations of each foundation, of all or some cases by name."""
@@ -185,7 +188,10 @@ class FoundationTables:
             "Foundation|Uplift{force}|Governs|Downward{force}|Governs|Horizontal{force}|Governs|"
             "Size{force}|Governs"
         )
-        return Table("Largest forces on the foundations", columns, rows, "foundation_envelope")
+        stages = any(case.stage for case in self.cases)
+        caption = "Largest forces on the foundations"
+        caption += " over all combinations and stages of erection" if stages else ""
+        return Table(caption, columns, rows, "foundation_envelope", even=True)
 
     def lines(self) -> Table:
         """Forces on lines of held edges, without those on points."""
@@ -202,8 +208,9 @@ class FoundationTables:
             "Per length, mean{stress}|Per length, largest{stress}"
         )
         return Table(
-            "Forces of the membrane on its held edges", columns, rows, "support_lines", headings=2
-        )
+            "Forces of the membrane on its held edges", columns, rows, "support_lines", headings=2,
+            even=True,
+        )  # fmt: skip
 
     def lines_by_case(self) -> Table:
         """Forces on lines of held edges in the cases in which the line's are largest."""
@@ -211,7 +218,7 @@ class FoundationTables:
         for name in dict.fromkeys(row[0] for row in every.rows):
             own = [row for row in every.rows if row[0] == name]
             for k in (2, 3, 4, 6):  # sums, and the mean per length
-                one = max(own, key=lambda row, k=k: abs(row[k] or 0.0))  # type: ignore[misc]
+                one = governing_of(own, lambda row, k=k: abs(row[k] or 0.0))  # type: ignore[misc]
                 kept.setdefault(str(name), set()).add(str(one[1]))
         rows = [row for row in every.rows if str(row[1]) in kept[str(row[0])]]
         caption = f"{every.caption}, in their governing combinations"
@@ -233,7 +240,7 @@ class FoundationTables:
             "Combination|Loads, Fx{force}|Fy{force}|Fz{force}|Foundations, Fx{force}|Fy{force}|"
             "Fz{force}|Balanced to"
         )
-        return Table("Balance of loads and foundations", columns, rows)
+        return Table("Balance of loads and foundations", columns, rows, even=True)
 
     def balance(self) -> Table:
         """Sums of the loads and of all foundation forces."""

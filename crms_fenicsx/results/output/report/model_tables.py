@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import platform
+import re
 import sys
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
@@ -70,7 +71,7 @@ def model_of_scene(scene: Scene, units: Units) -> Model:
         "materials": ("Membrane", "Part|Area{area}|Material|Data", _materials(scene, areas, units)),
         "cable make": ("Make of the cables", MAKE, cable_make(scene, units)),
         "cable values": ("Design values of the cables", CABLES, cable_values(scene)),
-        "bar values": ("Design values of the bars", BARS, bar_values(scene.bars, units)),
+        "bar values": (*BARS, bar_values(scene.bars, units)),
         "limits": (
             "Limits in service",
             "Limit|Value",
@@ -203,7 +204,8 @@ def _materials(scene: Scene, areas: Array, units: Units) -> list[Row]:
         area = scene.comm.allreduce(float(own.sum()))
         part = membrane.parts.get(k, ALL) or "whole membrane"
         data = _material(material, units, membrane.frames is not None)
-        rows.append((part, area, type(material).__name__, data))
+        kind = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", type(material).__name__).lower()
+        rows.append((part, area, kind, data))
     return rows
 
 

@@ -164,7 +164,7 @@ class BarChart:
         return [
             (
                 name, per * low, per * (high - low),
-                f"{number(low)} to {number(high)}" if ranges else number(high),
+                " to ".join(shown(even(x, self.most)) for x in (low, high)[0 if ranges else 1 :]),
                 self.limit is not None and high > self.limit,
             )
             for name, low, high in self.rows
@@ -181,6 +181,7 @@ class Table:
     name: str = ""  # suffix of the CSV file's name; "" writes none
     headings: int = 1  # number of columns that name the row
     small: bool = False  # whether many columns need small print
+    even: bool = False  # whether numbers of one unit have the decimals of the largest one
     kind: ClassVar[str] = "table"
 
     @property
@@ -200,8 +201,22 @@ class Table:
             k for k in range(len(self.columns))
             if k < self.headings or any(row[k] not in (None, "") for row in self.rows)
         ]  # fmt: skip
-        rows = [[row[k] for k in kept] for row in self.rows]
+        rows = [[row[k] for k in kept] for row in (self._evened if self.even else self.rows)]
         return replace(self, columns=[self.columns[k] for k in kept], rows=rows)
+
+    @property
+    def _evened(self) -> list[list[Cell]]:
+        """The rows, with as many decimals for all numbers of a unit as for its largest one."""
+        unit = re.compile(r"\[.*\]").search
+        kinds = [found.group() if (found := unit(one) or unit(self.caption)) else one
+                 for one in self.columns]  # fmt: skip
+        most = dict[str, float]()
+        for row in self.rows:
+            for kind, x in zip(kinds, row, strict=True):
+                if isinstance(x, float):
+                    most[kind] = max(abs(x), most.get(kind, 0.0))
+        return [[even(x, most.get(kind, 0.0)) for kind, x in zip(kinds, row, strict=True)]
+                for row in self.rows]  # fmt: skip
 
     @property
     def numeric(self) -> list[bool]:
@@ -350,6 +365,14 @@ def per_cent(share: float) -> str:
     if 0.0 < share < 5e-4:
         return "< 0.1 %"
     return f"{100 * share:.1f} %" if share < 10.0 else "> 1000 %"
+
+
+def even(value: Cell, most: float) -> Cell:
+    """A number with as many decimals as a larger one has by `number`; others as they are."""
+    size = 0.0 if not math.isfinite(most) else abs(float(f"{most:.3e}"))
+    if type(value) is not float or value == 0.0 or not 1e-4 <= size < 1e7:
+        return value
+    return Measured(value, max(3 - math.floor(math.log10(size)), 0))
 
 
 def place(at: Sequence[float], size: float) -> str:

@@ -16,6 +16,7 @@ import numpy as np
 from crms_fenicsx.analysis.scene import Scene
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.foundation.runtime.errors import raised_together
+from crms_fenicsx.results.design_checks import governing_of
 from crms_fenicsx.results.foundations import held_rim
 from crms_fenicsx.results.membrane_results import membrane_results
 from crms_fenicsx.results.output.figures.axes3d import RIM
@@ -90,7 +91,8 @@ def pictured(every: Sequence[Case], colours: Sequence[str]) -> dict[str, list[st
         rest = [case for case in every if case is not base]
         for state in dict.fromkeys(case.state for case in rest):
             own = [case for case in rest if case.state == state]
-            most = max(own, key=lambda case: _largest(case, colour))
+            sizes = [(case, _largest(case, colour)) for case in own]
+            most, _ = governing_of(sizes, lambda one: one[1])
             governs[most.name] = most
         for name in governs:
             found.setdefault(name, []).append(colour)
@@ -137,7 +139,7 @@ def draw_png(solver: Solved, *, dpi: int, **options: Any) -> bytes:
         png: bytes = figure._repr_png_(dpi)  # type: ignore[attr-defined]
         with Image.open(io.BytesIO(png)) as picture:  # 256 colours take a third of the space
             # not the default, "median cut", which replaces the ends of colour bars
-            reduced = picture.convert("RGB").quantize(256, Image.Quantize.MAXCOVERAGE)
+            reduced = picture.convert("RGB").quantize(256, Image.Quantize.MAXCOVERAGE, kmeans=1)
             reduced.save(buffer, "PNG")
     return buffer.getvalue()
 
@@ -189,7 +191,9 @@ def model_figures(solver: Solved, caption: str, unit: str, look: Any) -> list[Fi
         plan = _model_plan(solver)
         if scene.comm.rank == 0:
             warp = "warp, " if len(plan.warp[0]) else ""
-            text = f"Plan of the model with supports, {warp}and the names of cables and bars"
+            kinds = [kind for kind in ("cables", "bars") if getattr(scene, kind)]
+            names = f"and the names of {' and '.join(kinds)}" if kinds else "and parts"
+            text = f"Plan of the model with supports, {warp}{names}"
             found.append(Figure(draw_model(plan, unit, 150), text, "model"))
     return found
 
@@ -266,9 +270,10 @@ def force_figures(held: FoundationTables, outline: Array) -> list[Figure]:
     greatest = max((float(x.max(initial=0.0)) for x in sizes), default=0.0)
     largest = max(map(float, flat), default=0.0)
     wanted = {case for *_, case in held.largest()}
-    rims = [(float(np.linalg.norm(case.foundations.per_length, axis=2).max(initial=0.0)), case.name)
-            for case in held.cases]  # fmt: skip
-    wanted |= {max(rims)[1], held.cases[0].name}
+    if greatest > 0.0:
+        rims = zip(sizes, held.cases, strict=True)
+        wanted.add(governing_of(rims, lambda one: float(one[0].max(initial=0.0)))[1].name)
+    wanted.add(held.cases[0].name)
     for case in (case for case in held.cases if case.name in wanted):
         of = case.foundations
         own = {

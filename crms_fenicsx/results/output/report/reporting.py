@@ -23,8 +23,17 @@ from crms_fenicsx.model.versions import UNBALANCED
 from crms_fenicsx.results.cable_order import Order
 from crms_fenicsx.results.output.figures.axes3d import check_view
 from crms_fenicsx.results.output.figures.draw_scene import COLOURS
-from crms_fenicsx.results.output.report.case import BASE, Case, Shape, case_of, shape_of
+from crms_fenicsx.results.output.report.case import (
+    BASE,
+    Case,
+    Shape,
+    case_of,
+    in_order,
+    shape_of,
+    with_codes,
+)
 from crms_fenicsx.results.output.report.combination_tables import tables_of
+from crms_fenicsx.results.output.report.design_tables import load_factors
 from crms_fenicsx.results.output.report.model_tables import Model, merged, model_of_scene
 from crms_fenicsx.results.output.report.page import (
     MACROS,
@@ -44,8 +53,7 @@ from crms_fenicsx.results.output.report.pictures import (
     with_pictures,
     with_view,
 )
-from crms_fenicsx.results.output.report.results_tables import ResultTables
-from crms_fenicsx.results.output.report.sections import Plan, Report, with_codes
+from crms_fenicsx.results.output.report.sections import Plan, Report
 from crms_fenicsx.results.quantities import QUANTITY_OF, Solved, names_of
 
 NOW = "Current state"
@@ -164,18 +172,21 @@ def results_of(solver: Solved, states: Mapping[str, Combination]) -> list[Case]:
                 solver.restore(solver.base)
             before = shape_of(solver.scene)
         return [case_of(solver, NOW, before)]
-    shapes = dict[int, Shape]()
+    shapes, bases = dict[int, Shape](), dict[int, tuple[float, Mapping[str, float]]]()
     with back_to_now(solver):
         for name, one in _stages_last(states).items():
             if id(one.base) not in shapes:
                 solver.restore(one.base)
                 shapes[id(one.base)] = shape_of(solver.scene)
+                bases[id(one.base)] = solver.scene.pressure, solver.scene.factors
                 if not cases and not one.stage and BASE not in states:
                     # of no limit state, also where it is a stage of erection
                     cases.append(replace(case_of(solver, BASE, shapes[id(one.base)]), state=""))
             solver.restore(one.snapshot)
             case = case_of(solver, name, shapes[id(one.base)])
-            cases.append(replace(case, stage=one.stage))
+            own, first = bases[id(one.base)], next(iter(bases.values()))
+            other = None if one.stage or own == first else own
+            cases.append(replace(case, stage=one.stage, base=other))
     combined = [one for one in cases if not one.stage or one is cases[0]]
     base, acting = cases[0], [one.acting for one in combined]
     known = base.name == BASE and acting[0] not in acting[1:] and base.summary.in_equilibrium
@@ -258,8 +269,8 @@ def write_files(solver: Solved, plan: Plan, model: Model, cases: Sequence[Case])
     """Write the page and its tables, replacing old files once all are complete. Collective."""
     with raised_together(solver.comm):
         if solver.comm.rank == 0:
-            results = ResultTables(cases, plan.units, model.size)
-            factors = results.factors(model.pressure, model.factors)
+            factors = load_factors(cases, plan.units, model.pressure, model.factors)
+            cases = in_order(cases, factors)
             report = Report(plan, model, cases, factors)
             path, tables = plan.path, report.tables()
             report = replace(report, cases=with_codes(cases, factors))

@@ -9,8 +9,8 @@ from typing import Any
 
 from crms_fenicsx.model.strengths import ALL
 from crms_fenicsx.results.cable_and_bar_results import BarResults
-from crms_fenicsx.results.design_checks import Extreme
-from crms_fenicsx.results.output.report.case import BASE, Case
+from crms_fenicsx.results.design_checks import Extreme, governing_of
+from crms_fenicsx.results.output.report.case import Case
 from crms_fenicsx.results.output.report.page import (
     WHOLE,
     Cell,
@@ -44,6 +44,18 @@ class ResultTables:
     units: Units
     size: float  # largest extent of the stress-free surface (length)
 
+    @property
+    def combined(self) -> ResultTables:
+        """These tables of the combinations only, of which envelopes are; of stages, if there is
+        nothing else."""
+        return replace(self, cases=[x for x in self.cases if not x.stage] or self.cases)
+
+    @property
+    def over(self) -> str:
+        """What envelopes are over, in their captions."""
+        apart = any(case.stage for case in self.cases) and not all(x.stage for x in self.cases)
+        return ", over all combinations without stages of erection" if apart else ""
+
     def names(self, kind: str) -> list[str]:
         """Names of the cables, bars ... of all cases; `kind` is a summary's attribute."""
         every = (name for case in self.cases for name in getattr(case.summary, kind))
@@ -70,49 +82,6 @@ class ResultTables:
                              for x in (found.least, found.largest))  # fmt: skip
                 yield part, name, label, low, high
 
-    def factors(self, pressure: float, factors: Mapping[str, float]) -> Table:
-        """Pressure and load factors of the cases and the base state."""
-        acting = [(case.name, case.summary.pressure, case.summary.factors) for case in self.cases]
-        every = [one for one, case in zip(acting, self.cases, strict=True) if not case.stage]
-        divided = {
-            case.name: max(one.divisor for one in case.summary.design.values())
-            for case in self.cases
-            if case.summary.design
-        }
-        reduced = any(x != 1.0 for x in divided.values())
-        of = {case.name: case for case in self.cases}
-        unchanged = pressure, factors, 1.0, ()
-        base = [one for one in every if of[one[0]].acting == unchanged]
-        if every and not base:
-            base = [("base state", pressure, factors)]
-        every = base + [one for one in every if one not in base]
-        first = 1 if len(every) == 1 and base[0][0] != "base state" else 0
-        codes = [f"LC{k}" for k in range(first, len(every) + first)]
-        codes += [f"S{case.stage}" for case in self.cases if case.stage]
-        every += [one for one, case in zip(acting, self.cases, strict=True) if case.stage]
-        loads = list(dict.fromkeys(load for _, _, known in every for load in known))
-        pressed = any(p for _, p, _ in every)
-        tight = any(case.prestress != 1.0 for case in self.cases)
-        rows: list[Row] = [
-            (
-                code,
-                "base state" if name == BASE else name,
-                (of[name].state or None) if name in of else None,
-                of[name].prestress if name in of and tight else None,
-                (", ".join(of[name].without) or None) if name in of else None,
-                p if pressed else None,
-                *(known.get(load) or None for load in loads),
-                divided.get(name) if reduced else None,
-            )
-            for code, (name, p, known) in zip(codes, every, strict=True)
-        ]
-        columns = self.units.headings(
-            "Case|Combination|Limit state|Prestress|Without|Inner pressure{pressure}"
-        )
-        columns += [*loads, "Strengths divided by"]
-        caption = f"{'Inner pressure and factors' if pressed else 'Factors'} of the loads"
-        return Table(caption, columns, rows, "combinations", small=len(loads) > 4)
-
     def overview(self) -> Table:
         """Deformation and state of the membrane."""
         rows: list[Row] = [
@@ -125,8 +94,8 @@ class ResultTables:
             for case in self.cases for one in [case.summary]
         ]  # fmt: skip
         columns = self.units.headings(
-            "Combination|Deflection from the base state{length}|Deflection from the stress-free "
-            "shape{length}|Lowest in z{length}|Highest in z{length}|Slack area [%]|"
+            "Combination|Deflection from the base state{length}|Displacement from the stress-free "
+            "shape{length}|Vertically, least{length}|Vertically, largest{length}|Slack area [%]|"
             "Wrinkled area [%]"
         )
         return Table("Largest deflections, and state of the membrane", columns, rows, "overview")
@@ -147,13 +116,14 @@ class ResultTables:
                           if name in found else None for name in names))
             for case in self.cases for found in [case.summary.membrane.largest]
         ]  # fmt: skip
-        return Table("Largest section forces by combination", ["Combination", *labels], rows)
+        caption = "Largest section forces by combination"
+        return Table(caption, ["Combination", *labels], rows, even=True)
 
     def patches(self) -> Table:
         """Reinforced corners, and what plain fabric would bear there, over all cases."""
         rows: list[Row] = []
         for name, found in self.by_name("patches"):
-            governs, most = max(found, key=lambda one: one[1].utilisation)
+            governs, most = governing_of(found, lambda one: one[1].utilisation)
             patch = most.patch
             radius = "given" if patch.given else "a twentieth of the distance to the next"
             rows.append((
@@ -181,32 +151,37 @@ class ResultTables:
 
     def envelope(self) -> Table:
         """Minima and maxima over all cases, with the governing case."""
-        rows: list[Row] = []
-        every = {(part, name): label for case in self.cases
+        rows, cases = list[Row](), self.combined.cases
+        every = {(part, name): label for case in cases
                  for part, name, label, _, _ in self._extremes(case)}  # fmt: skip
         for (part, name), label in every.items():
             parts = [
                 (case.name, case.summary.parts[part])
-                for case in self.cases if name in case.summary.parts[part].least
+                for case in cases if name in case.summary.parts[part].least
             ]  # fmt: skip
-            least, low = min(((n, one.least[name]) for n, one in parts), key=_value)
-            largest, high = max(((n, one.largest[name]) for n, one in parts), key=_value)
+            least, low = governing_of(
+                [(n, one.least[name]) for n, one in parts], lambda one: -one[1].value
+            )
+            largest, high = governing_of(
+                [(n, one.largest[name]) for n, one in parts], lambda one: one[1].value
+            )
             at, scale = place(high.at, self.size), QUANTITIES[name].scale
             small, most = clean([scale * low.value, scale * high.value], scale * high.value, FINE)
-            governs = next(case for case in self.cases if case.name == largest)
+            governs = next(case for case in cases if case.name == largest)
             smooth, change = governs.recovered[part].get(name), governs.summary.parts[part].change
             nodal, peak = None if smooth is None else scale * smooth, ""
             if nodal is None and change is not None:
                 peak = f"may change by {per_cent(change)}"
             elif nodal is not None and most > 1.25 * max(nodal, 0.0):
                 peak = "single-cell peak"
-            least, largest = (least, largest) if len(self.cases) > 1 else ("", "")
-            rows.append((part_name(part), label, small, least, most, largest, at, nodal, peak))
+            least, largest = (least, largest) if len(cases) > 1 else ("", "")
+            lower = (None, "") if name == "utilisation" else (small, least)  # says nothing
+            rows.append((part_name(part), label, *lower, most, largest, at, nodal, peak))
         columns = self.units.headings(
             "Part|Result|Least|Governs least|Largest|Governs largest|at x; y; z{length}"
             "|Largest, smoothed|Remark"
         )
-        caption = "Envelope of the membrane"
+        caption = f"Envelope of the membrane{self.over}"
         table = Table(caption, columns, rows, "envelope", headings=2, small=True)
         return _without_one_part(table)
 
@@ -231,20 +206,19 @@ class ResultTables:
     def cable_envelope(self) -> Table:
         """Smallest and largest tension of each cable over all cases, and where it is slack."""
         rows: list[Row] = []
-        for name, found in self.by_name("cables"):
-            least, low = min(found, key=lambda one: one[1].least)
-            largest, high = max(found, key=lambda one: one[1].largest)
-            shares = [(one.utilisation, case) for case, one in found if one.utilisation is not None]
-            share, governs = max(shares, default=(None, None))
-            used = None if share is None else per_cent(share)
+        for name, found in self.combined.by_name("cables"):
+            least, low = governing_of(found, lambda one: -one[1].least)
+            largest, high = governing_of(found, lambda one: one[1].largest)
             loose = [case for case, one in found if one.slack]
             slack = "all" if len(loose) == len(found) > 1 else listed(loose) or None
-            rows.append((name, low.least, least, high.largest, largest, used, governs, slack))
+            used = _most_used(found)
+            rows.append((name, low.least, least, high.largest, largest, *used, slack))
         columns = self.units.headings(
             "Cable|Least tension{force}|Governs least|Largest tension{force}|Governs largest"
             "|Utilisation|Governs utilisation|Slack in"
         )
-        return Table("Envelope of the cables' tensions", columns, rows, "cable_envelope")
+        caption = f"Envelope of the cables' tensions{self.over}"
+        return Table(caption, columns, rows, "cable_envelope", even=True)
 
     def tensions(self) -> list[Table]:
         """Largest tension of each cable in each case, or that it is slack."""
@@ -266,7 +240,7 @@ class ResultTables:
             Table(
                 caption.format_map(self.units), ["Combination", *part],
                 [(case.name, *(found[name].get(case.name) for name in part))
-                 for case in self.cases], small=len(part) > 8,
+                 for case in self.cases], small=len(part) > 8, even=True,
             )
             for part in in_parts(list(found), WIDE)
         ]  # fmt: skip
@@ -275,7 +249,7 @@ class ResultTables:
         """Lengths of the cables in the first case, and their contact with the membrane."""
         case, rows = self.cases[0], list[Row]()
         for name, found in self.by_name("cables"):
-            governs, most = max(found, key=lambda one: one[1].contact_largest)
+            governs, most = governing_of(found, lambda one: one[1].contact_largest)
             one = case.summary.cables.get(name)
             lengths = (None,) * 3 if one is None else map(
                 self.units.exact, (one.length, one.L0, one.free)
@@ -316,18 +290,16 @@ class ResultTables:
     def bar_envelope(self, *, every: bool = True) -> Table:
         """Smallest and largest force of each bar, or family of bars, over all cases."""
         rows: list[Row] = []
-        for label, found in self._bars(every):
-            least, low = min(found, key=lambda one: one[1].force)
-            largest, high = max(found, key=lambda one: one[1].force)
-            most = max(((n, x.utilisation) for n, x in found if x.utilisation is not None),
-                       key=lambda one: one[1] or 0.0, default=None)  # fmt: skip
-            used = (None, None) if most is None else (per_cent(most[1] or 0.0), most[0])
-            rows.append((label, low.force, least, high.force, largest, *used))
+        for label, found in self.combined._bars(every):
+            least, low = governing_of(found, lambda one: -one[1].force)
+            largest, high = governing_of(found, lambda one: one[1].force)
+            rows.append((label, low.force, least, high.force, largest, *_most_used(found)))
         columns = self.units.headings(
             "Bar|Least force{force}|Governs least|Largest force{force}|Governs largest"
             "|Utilisation|Governs utilisation"
         )
-        return Table("Envelope of the bars' forces", columns, rows, "bar_envelope")
+        caption = f"Envelope of the bars' forces{self.over}"
+        return Table(caption, columns, rows, "bar_envelope", even=True)
 
     def hollows(self) -> Table:
         """Ponding: the deepest hollow of each case."""
@@ -414,8 +386,13 @@ def clean(force: Sequence[float], scale: float, part: float = NOISE) -> list[flo
     return [x if abs(x) > part * scale else 0.0 for x in force]
 
 
-def _value(one: tuple[str, Extreme]) -> float:
-    return one[1].value
+def _most_used(found: Sequence[tuple[str, Any]]) -> tuple[str | None, str | None]:
+    """The largest utilisation of a cable or bar, and its case; None without any."""
+    judged = [(case, one.utilisation) for case, one in found if one.utilisation is not None]
+    if not judged:
+        return None, None
+    case, used = governing_of(judged, lambda one: one[1])
+    return per_cent(used), case
 
 
 def with_size(force: Sequence[float], part: float = NOISE) -> list[float]:

@@ -11,6 +11,7 @@ import numpy as np
 
 from crms_fenicsx.model.strengths import LIMIT_STATES
 from crms_fenicsx.results.cable_order import Order
+from crms_fenicsx.results.design_checks import governing_of
 from crms_fenicsx.results.output.report.case import BASE, Case
 from crms_fenicsx.results.output.report.combination_tables import combination_sections
 from crms_fenicsx.results.output.report.design_tables import alike, fabric_values
@@ -46,10 +47,12 @@ from crms_fenicsx.results.output.report.verdict import (
     OF_MEMBRANE,
     governing,
     judged,
+    listed,
     verdict_on,
     with_unit,
 )
 from crms_fenicsx.results.output.report.verification_tables import (
+    CHECKED,
     nearest_to_limits,
     verdicts,
     verification,
@@ -94,9 +97,10 @@ NOTES = (
     "strengths.",
     "Slack and wrinkled shares are parts of the stress-free area: a wrinkled triangle is in "
     "tension in one direction only, a slack one in none.",
-    "Deflections are displacements from the base state LC0, of stages from the one before, or from "
-    "the stress-free shape where named so. Forces on the rim per length are those of each vertex "
-    "over the length of held edges that belongs to it, with those of cables that pass over it.",
+    "Deflections are displacements from the base state, LC0 unless another one is named, of stages "
+    "from the one before, or from the stress-free shape where named so. Forces on the rim per "
+    "length are those of each vertex over the length of held edges that belongs to it, with those "
+    "of cables that pass over it.",
     "Loads of fixed direction, such as weight and snow, keep their forces as the shape changes; "
     "wind and inner pressure stay normal to the surface. Cables and bars have no weight but that "
     "of named loads.",
@@ -105,30 +109,7 @@ NOTES = (
 )
 """Notes on reading the results."""
 
-CHECKED = (
-    "Each state of equilibrium was checked without use of the solver: the forces on every part of "
-    "the structure balance; reactions of the supports equal the loads, in forces and moments; each "
-    "cable has the tension that follows from its length, and lies on the membrane where it is in "
-    "contact; the deformation energy agrees with the work of the forces. A doubtful check means "
-    "that the mesh is coarse there, or that forces of one part are too small beside the others to "
-    "be accurate, not that the state is not in equilibrium."
-)
-
-
-def with_codes(cases: Sequence[Case], factors: Table) -> list[Case]:
-    """The cases; if a name is long, renamed to their codes LC0, LC1 ... and in that order."""
-    codes = {str(row[1]): str(row[0]) for row in factors.rows}
-    codes |= {code: code for code in codes.values()}
-    if max(len(case.name) for case in cases) < 28:
-        return list(cases)
-    order = list(codes.values())
-    return [
-        replace(case, name=codes[case.name], pictures=tuple(
-            replace(one, caption=one.caption.replace(case.name, codes[case.name], 1))
-            for one in case.pictures
-        ))
-        for case in sorted(cases, key=lambda case: order.index(codes[case.name]))
-    ]  # fmt: skip
+STRAIN = "The limit of the strain, {}, is the report's, not a code's."
 
 
 @dataclass(frozen=True)
@@ -208,7 +189,7 @@ class Report:
 
     def _page(self) -> str:
         """The page: each section of one subject."""
-        plan = self.plan
+        plan, strain = self.plan, STRAIN.format(per_cent(self.plan.strain_limit))
         sections = [
             self._summary(),
             *self._basis(),
@@ -219,7 +200,7 @@ class Report:
             *erection(self.results, self.held, plan.strain_limit, self.factors),
             *plan.sections,
             PageSection("Verification", self._verification()),
-            PageSection("Notes", [Notes(NOTES)]),
+            PageSection("Notes", [Notes([*NOTES[:-1], f"{NOTES[-1]} {strain}"])]),
         ]  # fmt: skip
         return page(
             plan.title, self._about(), sections, Path(plan.template) if plan.template else None
@@ -261,10 +242,10 @@ class Report:
                          per_cent(one.share), one.case))  # fmt: skip
         for state in dict.fromkeys(case.state for case in self.cases):
             own = [case for case in self.cases if case.state == state]
-            most = max(own, key=lambda case: case.deflection.value)
+            most = governing_of(own, lambda case: case.deflection.value)
             if state not in limited and most.deflection.value > 0.0:
                 size = f"{number(most.deflection.value)}{units.plain('length')}"
-                rows.append((state, "Deflection", "", size, None, None, most.name))
+                rows.append((state, "Deflection", WHOLE, size, None, None, most.name))
             rows += [
                 (state, f"Foundation, {kind}", label, f"{number(size)}{units.plain('force')}",
                  None, None, case)
@@ -318,9 +299,9 @@ class Report:
         """Chart of the cables' tensions over all combinations."""
         found = [
             (name, min(x.least for _, x in cases), max(x.largest for _, x in cases))
-            for name, cases in self.results.by_name("cables")
+            for name, cases in self.results.combined.by_name("cables")
         ]
-        where = " over all combinations" if len(self.cases) > 1 else ""
+        where = self.results.over or (", over all combinations" if len(self.cases) > 1 else "")
         return BarChart(f"Least to largest tension{where}{self.plan.units['force']}", found)
 
     def _model(self) -> list[PageSection]:
@@ -342,12 +323,27 @@ class Report:
             PageSection("Model", [*model.pictures, tables["mesh"], *below]),
             PageSection("Loads", [*([tables["loads"]] if "loads" in tables else []),
                                   Figures(model.loads)]),
-            PageSection("Combinations", [self.factors]),
+            PageSection("Combinations", [self.factors, *self._other_bases()]),
         ]  # fmt: skip
+
+    def _other_bases(self) -> list[PagePart]:
+        """Base states of combinations that do not start from LC0."""
+        units, found = self.plan.units, dict[str, list[str]]()
+        for case in (one for one in self.cases if one.base is not None):
+            pressure, factors = case.base  # type: ignore[misc]
+            acting = [f"{name} {number(x)}" for name, x in factors.items() if x]
+            if pressure:
+                acting.insert(0, f"inner pressure {number(pressure)}{units.plain('pressure')}")
+            found.setdefault(", ".join(acting) or "no load", []).append(case.name)
+        return [
+            Paragraph(f"Base state of {listed(names)} instead of LC0: {text}.")
+            for text, names in found.items()
+        ]
 
     def _membrane(self) -> list[PageSection]:
         of, several = self.results, len(self.cases) > 1
-        text = "Least and largest values over all combinations, with the governing combination."
+        over = of.over.removeprefix(",") or " over all combinations"
+        text = f"Least and largest values{over}, with the governing combination."
         intro = [Paragraph(text)] if several else []
         every = {case.name: case.summary.membrane.largest for case in self.cases}
         used = [(name, 0.0, 100.0 * largest["utilisation"].value) for name, largest in every.items()
@@ -371,7 +367,7 @@ class Report:
         links = [Link(f"{case.name}, interactive view", file)
                  for case, file in zip(self.cases, self._files, strict=True)
                  if case.view]  # fmt: skip
-        if figures or links:
+        if figures or links or self.left_out:
             told = [Paragraph(same.strip())] if same else []
             body: list[PagePart] = [*told, *links, Figures(figures)]
             found.append(PageSection("Pictures", body, 3))

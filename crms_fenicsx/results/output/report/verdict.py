@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
+from crms_fenicsx.foundation.runtime.checks import counted
 from crms_fenicsx.model.strengths import ALL, LIMIT_STATES, SERVICE
-from crms_fenicsx.results.design_checks import LEAST, DesignCheck
+from crms_fenicsx.results.design_checks import LEAST, DesignCheck, governing_of
 from crms_fenicsx.results.output.report.case import Case
 from crms_fenicsx.results.output.report.page import (
     WHOLE,
@@ -34,7 +35,9 @@ NAMES = {
 }
 """What is judged: its name, and what its utilisation is relative to."""
 
-OF_MEMBRANE = ("fabric", "fabric warp", "fabric weft", "strain")
+OF_MEMBRANE = (
+    "fabric", "fabric warp", "fabric weft", "strain", "deflection", "prestress", "slope", "ponding",
+)  # fmt: skip
 """What is judged of the membrane or its parts."""
 
 KINDS = {
@@ -69,24 +72,23 @@ def judged(cases: Iterable[Case], strain: float) -> list[Judged]:
 
 def governing(found: Iterable[Judged]) -> list[Judged]:
     """The largest utilisation of each limit state and kind of check, and the largest of each."""
-    most = dict[tuple[str, str], Judged]()
+    of = dict[tuple[str, str], list[Judged]]()
     for one in found:
-        known = most.get((one.state, one.what))
-        if known is None or one.share > known.share:
-            most[one.state, one.what] = one
+        of.setdefault((one.state, one.what), []).append(one)
+    most = [governing_of(own, lambda one: one.share) for own in of.values()]
     order, states = [*NAMES], ["", *LIMIT_STATES]
-    rows = sorted(most.values(), key=lambda one: order.index(one.what))
+    rows = sorted(most, key=lambda one: order.index(one.what))
     return sorted(rows, key=lambda one: states.index(one.state))
 
 
 def verdict_on(cases: Sequence[Case], size: float, strain: float, units: Units) -> Verdict:
     """The verdict, with all objections to the structure or its results, grouped by limit state,
     and what is not judged; `strain` is the limit of the major principal strain."""
-    kinds = "combinations and stages" if any(case.stage for case in cases) else "combinations"
-    count = f"all {len(cases)} {kinds}" if len(cases) > 1 else "the state"
+    count = states_of(cases)
     reasons = [*_doubts(cases), *_excess(judged(cases, strain), size, units)]
     unjudged = [*_unjudged(cases)]
-    told, (refined, coarse) = [*_reinforced(cases), *_rain(cases, size, units)], _refined(cases)
+    told = [*_reinforced(cases, units), *_rain(cases, size, units), *_unserved(cases)]
+    refined, coarse = _refined(cases)
     missing = [case.name for case in cases if case.summary.in_equilibrium and not case.verification]
     if reasons:
         moved = [case.name for case in cases if not case.summary.in_equilibrium]
@@ -125,6 +127,25 @@ def _unjudged(cases: Sequence[Case]) -> Iterator[str]:
     if served and not any(one.what not in ("cable", "strain") for case in served
                           for one in case.summary.checks):  # fmt: skip
         yield "Serviceability is not judged: no limit of deflection, prestress, slope or water."
+
+
+def _unserved(cases: Sequence[Case]) -> Iterator[str]:
+    """Note on combinations of ultimate limit states only."""
+    states = {case.state for case in cases if case.state and not case.stage}
+    if states and not states & {*SERVICE}:
+        yield "No combination is for serviceability, which is not judged here."
+
+
+def states_of(cases: Sequence[Case]) -> str:
+    """The cases in words, as "4 combinations, 8 stages and the base state"."""
+    stages = sum(case.stage > 0 for case in cases)
+    base = sum(not case.stage and not case.state for case in cases)  # is of no limit state
+    if len(cases) == 1:
+        return "the state"
+    kinds = {"combination": len(cases) - stages - base, "stage": stages}
+    found = [counted(n, kind) for kind, n in kinds.items() if n] + ["the base state"] * bool(base)
+    every = f"all {found[0]}" if max(kinds.values()) > 1 else found[0]
+    return " and ".join(x for x in (", ".join([every, *found[1:-1]]), *found[1:][-1:]) if x)
 
 
 def listed(names: Sequence[str]) -> str:
@@ -169,10 +190,10 @@ def _rain(cases: Sequence[Case], size: float, units: Units) -> Iterator[str]:
     """Note on where rain would stand."""
     wet = [case for case in cases if case.summary.hollows]
     if wet:
-        most = max(wet, key=lambda case: case.summary.hollows[0].depth)
+        most = governing_of(wet, lambda case: case.summary.hollows[0].depth)
         deepest = most.summary.hollows[0]
         yield (
-            f"Rain would stand in {len(wet)} of {len(cases)} combinations, up to "
+            f"Rain would stand in {len(wet)} of {len(cases)} states, up to "
             f"{shown(units.exact(deepest.depth))}{units.plain('length')} deep at x; y; z = "
             f"{place(deepest.at, size)} ({most.name}): check the roof for ponding."
         )
@@ -218,7 +239,11 @@ def _refined(cases: Sequence[Case]) -> tuple[list[str], bool]:
     ]  # fmt: skip
     if not found:
         return [], False
-    most, value, name, change = max(found)
+    # the one that governs, unless another may exceed the strength
+    beyond = [one for one in found if one[1] <= 1.0 < one[0]]
+    most, value, name, change = governing_of(found, lambda one: one[1])
+    if beyond and not value <= 1.0 < most:
+        most, value, name, change = governing_of(beyond, lambda one: one[0])
     text = (
         f"{name}: the membrane is loaded to {per_cent(value)} of its strength; finer cells may "
         f"change this by {per_cent(change)}"
@@ -227,7 +252,7 @@ def _refined(cases: Sequence[Case]) -> tuple[list[str], bool]:
     return [f"{text}; refine the mesh there to judge it." if near else f"{text}."], near
 
 
-def _reinforced(cases: Sequence[Case]) -> list[str]:
+def _reinforced(cases: Sequence[Case], units: Units) -> list[str]:
     """Note on the corners where plain fabric is not judged."""
     every = {name: one.patch for case in cases for name, one in case.summary.patches.items()}
     if not every:
@@ -236,10 +261,12 @@ def _reinforced(cases: Sequence[Case]) -> list[str]:
     span = number(min(radii))
     if number(max(radii)) != span:
         span += f" to {number(max(radii))}"
+    span += units.plain("length")
     assumed = [name for name, patch in every.items() if not patch.given]
-    most, name, where = max(
-        (one.utilisation, case.name, corner)
-        for case in cases for corner, one in case.summary.patches.items()
+    most, name, where = governing_of(
+        ((one.utilisation, case.name, corner)
+         for case in cases for corner, one in case.summary.patches.items()),
+        lambda one: one[0],
     )  # fmt: skip
     text = (
         f"Corners to be reinforced ({listed([*every])}): within a radius of {span} the plain "

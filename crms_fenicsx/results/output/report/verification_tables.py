@@ -6,10 +6,11 @@ from collections.abc import Sequence
 
 from crms_fenicsx.analysis.verification.report import Check
 from crms_fenicsx.model.versions import UNBALANCED
+from crms_fenicsx.results.design_checks import governing_of
 from crms_fenicsx.results.output.report.case import Case
 from crms_fenicsx.results.output.report.page import Table, per_cent
 from crms_fenicsx.results.output.report.results_tables import Row
-from crms_fenicsx.results.output.report.verdict import listed
+from crms_fenicsx.results.output.report.verdict import listed, states_of
 
 MEANINGS = {
     "Forces balance at every free point, cable and joint": (
@@ -46,6 +47,17 @@ MEANINGS = {
 """What checks mean, with their names."""
 
 
+CHECKED = (
+    "Each state of equilibrium was checked without use of the solver: the forces on every part of "
+    "the structure balance; reactions of the supports equal the loads, in forces and moments; each "
+    "cable has the tension that follows from its length, and lies on the membrane where it is in "
+    "contact; the deformation energy agrees with the work of the forces. A doubtful check means "
+    "that the mesh is coarse there, or that forces of one part are too small beside the others to "
+    "be accurate, not that the state is not in equilibrium."
+)
+"""What the checks are, and what a doubtful one means."""
+
+
 def verification(cases: Sequence[Case]) -> Table:
     """Checks of all cases."""
     rows: list[Row] = []
@@ -75,7 +87,7 @@ def verdicts(cases: Sequence[Case]) -> Table:
         key = len(found.checks), verdict + ", ".join(names)
         shared.setdefault(key, []).append(case.name)
     rows: list[Row] = [
-        (f"all {len(names)} combinations" if len(names) == len(cases) > 1
+        (states_of(cases) if len(names) == len(cases) > 1
          else listed(names), *key)
         for key, names in shared.items()
     ]  # fmt: skip
@@ -92,7 +104,8 @@ def nearest_to_limits(cases: Sequence[Case]) -> Table:
             found.setdefault(words, []).append((case, check))
     rows: list[Row] = []
     for words in sorted(found, key=lambda words: [*MEANINGS, words].index(words)):
-        case, check = max(found[words], key=lambda one: (not one[1].passed, _share(one[1])))
+        failed = [one for one in found[words] if not one[1].passed]
+        case, check = governing_of(failed or found[words], lambda one: _share(one[1]))
         verdict = "met" if check.passed else "failed" if check.binding else "doubtful"
         rows.append((words, verdict, per_cent(_share(check)), case.name, check.where or None))
     columns = ("Requirement", "Result", "Largest share of its tolerance", "Combination", "Member")
