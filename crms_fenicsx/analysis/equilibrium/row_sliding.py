@@ -23,7 +23,7 @@ from crms_fenicsx.cabling.cables.row_shifts import (
     row_places,
 )
 from crms_fenicsx.energy.minimization.potential import Potential
-from crms_fenicsx.foundation.meshes.mesh_motion import MeshMotion, Span
+from crms_fenicsx.foundation.meshes.mesh_motion import MeshMotion
 from crms_fenicsx.foundation.meshes.triangles import norm
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers, ints
 from crms_fenicsx.model.laid_cable import LaidCable
@@ -186,7 +186,8 @@ class RowSliding:
         """Move vertices of rows that lie beside the spans above them, a few times in a solve;
         return the largest way relative to the cell size, 0 if all are small, and the places.
         Collective."""
-        spans = [span for cable in self.scene.cables for span in _spans(cable)]
+        lines = [cable for cable in self.scene.cables if cable.state.laid.line is not None]
+        spans = [(k, *span) for k, cable in enumerate(lines) for span in _spans(cable)]
         if not spans or self._aside == BUDGET.changes:
             return 0.0, X, x
         motion = self._renewed(rows.vertices)
@@ -224,10 +225,10 @@ class RowSliding:
         return self._motion
 
 
-def _spans(cable: LaidCable) -> list[Span]:
+def _spans(cable: LaidCable) -> list[tuple[Integers, Array, Array]]:
     """The row vertices under each span of a taut cable along a line, and the span's ends."""
     state = cable.state
-    if state.laid.line is None or not cable.taut or not state.lifted.any():
+    if not cable.taut or not state.lifted.any():
         return []
     ids = np.array([-1 if k.kind != "vertex" else k.support[0] for k in state.nodes])
     ends = np.flatnonzero(~state.lifted)

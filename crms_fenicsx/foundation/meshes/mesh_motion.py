@@ -31,10 +31,13 @@ from crms_fenicsx.foundation.meshes.triangles import (
 )
 from crms_fenicsx.foundation.runtime.arrays import Array, Booleans, Integers, ints
 
-Span = tuple[Integers, Array, Array]
-"""Numbers of row vertices under a span, in order, and the places (3,) of its ends."""
+Span = tuple[int, Integers, Array, Array]
+"""A row, the numbers of its vertices under a span, in order, and the places (3,) of its ends."""
 Worst = tuple[float, Array, list[int]]
 """A cell's value, its place (3,), and the rows within two cells of it, the nearest first."""
+
+ROOM = 0.25
+"""Share of its first area to which a cell may shrink as vertices move below spans."""
 
 
 class MeshMotion:
@@ -89,7 +92,9 @@ class MeshMotion:
         self._here = np.full(len(self._numbers), -1)  # local degrees of freedom of rows, or -1
         self._here[self._place] = self._local
         free = ~(stays | surface.rim)
-        self._within, self._single = free[self._numbers], free & (count == 1)
+        count = count[self._numbers]
+        self._within, self._shared = free[self._numbers], count == 2
+        self._movable = self._within & (count < 3)
         known = stays | (norm(surface.smooth.normals) == 0.0)
         known[self._numbers] = True
         label = connected_labels(len(known), *surface.edges.T)
@@ -145,32 +150,57 @@ class MeshMotion:
         return X, x
 
     def under(self, X: Array, x: Array, spans: Sequence[Span]) -> tuple[Array, Array]:
-        """Places (n, 3) of both kinds after vertices of rows below lifted spans have moved sideways
-        within the deformed surface until they lie under them, by at most half a cell. The rest of
-        the mesh does not follow yet."""
-        X, x = X.copy(), x.copy()
+        """Places (n, 3) of both kinds after vertices of rows below lifted spans have moved within
+        the deformed surface until they lie under them: sideways, or along the other row that shares
+        them. They move by at most half a cell; shared ones as far as cells keep half of their areas
+        and `ROOM` of their first ones. The rest of the mesh does not follow yet."""
         gradients, normals, current = self._mean_gradients(X, x)
-        at = self._gathered(X)
-        for vertices, start, end in spans:
+        at, ways, carried = self._gathered(X), np.zeros_like(X), np.zeros_like(X)
+        tangents = [np.gradient(at[row], axis=0) for row in self._rows]
+        both = np.zeros_like(at)
+        for row, along in zip(self._rows, tangents, strict=True):
+            both[row] += along
+        for own, vertices, start, end in spans:
             chord = (end - start) / norm(end - start)
-            k = np.searchsorted(self._numbers, vertices)
-            tangents = np.gradient(at[k], axis=0) if len(k) > 1 else np.zeros((1, 3))
-            free = np.flatnonzero(self._single[vertices])
-            local = self._here[k[free]]
-            of = np.flatnonzero(local >= 0)
-            local = local[of]
-            across = cross(normals[local], tangents[free[of]])
-            side = cross(current[local], np.broadcast_to(chord, across.shape))
-            across, side = _unit(across), _unit(side)
-            carried = (gradients[local] * across[:, None]).sum(axis=2)
-            ratio = dot(carried, side)
-            ok = np.abs(ratio) > 0.1 * norm(carried)
-            way = np.where(ok, dot(start - x[local], side) / np.where(ok, ratio, 1.0), 0.0)
-            most = 0.5 * self._surface.size[vertices[free[of]]]
+            row, along = self._rows[own], tangents[own]
+            of = np.isin(self._numbers[row], vertices) & (self._here[row] >= 0)
+            of &= self._movable[row]
+            k, along, local = row[of], along[of], self._here[row[of]]
+            shared = self._shared[k][:, None]
+            across = _unit(np.where(shared, both[k] - along, cross(normals[local], along)))
+            side = _unit(cross(current[local], np.broadcast_to(chord, across.shape)))
+            taken = (gradients[local] * across[:, None]).sum(axis=2)
+            off = dot(start - x[local] - carried[local], side)
+            ratio = dot(taken, side)
+            ok = np.abs(ratio) > 0.1 * norm(taken)
+            way = np.where(ok, off / np.where(ok, ratio, 1.0), 0.0)
+            most = 0.5 * self.size[local]
             way = np.clip(way, -most, most)[:, None]
-            X[local] += way * across
-            x[local] += way * carried
-        return X, x
+            ways[local] += way * across
+            carried[local] += way * taken
+        parts = self._with_room(X, ways)[:, None]
+        return X + parts * ways, x + parts * carried
+
+    def _with_room(self, X: Array, ways: Array) -> Array:
+        """The parts (n,) of the ways (n, 3) of vertices that rows share which leave cells half of
+        their areas and `ROOM`; 1 for others."""
+        parts, total = np.ones(len(X)), self._stars.array.reshape(-1, 16)
+        moved = np.zeros(len(X), dtype=bool)
+        moved[self._here[self._shared & (self._here >= 0)]] = True
+        moved &= norm(ways) > 0.0
+        cells = self._V.dofmap.list[: self._V.mesh.topology.index_map(2).size_local]
+        cells = cells[moved[cells].any(axis=1)]
+        now, first = double_areas(X[cells]), norm(double_areas(self._first[cells]))
+        for _ in range(10):
+            new = double_areas((X + parts[:, None] * ways)[cells])
+            share = dot(new, now) / dot(now, now)
+            tight = (share < 0.5) | (share < 1.0) & (norm(new) < ROOM * first)
+            total[:] = 0.0
+            total[cells[tight]] = 1.0
+            self._stars.scatter_reverse(la.InsertMode.add)
+            self._stars.scatter_forward()
+            parts[moved & (total[:, 0] > 0.0)] *= 0.5
+        return parts
 
     def quality(self, X: Array) -> tuple[Worst, Worst]:
         """The smallest ratio of a cell's area to its first one, and the smallest angle (degrees);

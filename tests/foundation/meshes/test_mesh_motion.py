@@ -15,7 +15,8 @@ from crms_fenicsx.foundation.dofs.layout import vertex_places
 from crms_fenicsx.foundation.meshes.edge_table import edges_of
 from crms_fenicsx.foundation.meshes.first_surface import FirstSurface
 from crms_fenicsx.foundation.meshes.membrane_mesh import cell_vertex_ids, gathered, rows_of
-from crms_fenicsx.foundation.meshes.mesh_motion import MeshMotion
+from crms_fenicsx.foundation.meshes.mesh_motion import ROOM, MeshMotion
+from crms_fenicsx.foundation.meshes.triangles import closest_on_segments
 from crms_fenicsx.foundation.runtime.arrays import Array, Integers
 
 ranks = pytest.mark.ranks
@@ -290,7 +291,7 @@ def test_ranks_do_not_matter(comm: MPI.Intracomm, kind: str) -> None:
             X, x = sheet.shifted(sheet.first, sheet.first * [1.0, 1.1, 0.9], both)
             row = sheet.rows[1]
             at, now = sheet.whole(X)[row], sheet.whole(x)[row]
-            under = sheet.motion.under(X, x, [(row[1:-1], now[0], now[-1] + [0.02, 0.03, 0.0])])
+            under = sheet.motion.under(X, x, [(1, row[1:-1], now[0], now[-1] + [0.02, 0.03, 0.0])])
             found.append((*map(sheet.whole, (X, x, *under)), at, sheet.motion.quality(X)))
         for ours, others in zip(found[0][:5], found[1][:5], strict=True):
             np.testing.assert_allclose(ours, others, atol=1e-12)
@@ -412,26 +413,43 @@ def test_fixed_vertices_stay(comm: MPI.Intracomm) -> None:
 
 
 def test_a_row_goes_below_its_span(comm: MPI.Intracomm) -> None:
-    """Half a cell at a time, within the deformed sheet; crossings stay."""
+    """Within the deformed sheet; crossings along the other rows."""
     sheet = Sheet(square(comm))
     turn = np.array([(0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)])
     row, k = sheet.rows[0], sheet.on(sheet.rows[0])
-    bowed, _ = sheet.shifted(sheet.first, sheet.first, bow(0.09))
+    bowed, _ = sheet.shifted(sheet.first, sheet.first, bow(0.04))
     whole = sheet.whole(bowed)
     start, end = (whole[row[j]] @ turn.T for j in (0, -1))
-    spans = [(row[1:-1], start, end)]
+    spans = [(0, row[1:-1], start, end)]
     X, x = bowed, bowed @ turn.T
     for _ in range(4):
-        last = X
         X, x = sheet.motion.under(X, x, spans)
         np.testing.assert_allclose(x, X @ turn.T, atol=1e-13)
-        assert np.linalg.norm(X - last, axis=1).max() < 0.05
-    crossings = np.isin(sheet.ids[k], np.concatenate(sheet.rows[1:]))
-    np.testing.assert_array_equal(X[k[crossings]], bowed[k[crossings]])
-    off = np.cross((end - start) / np.linalg.norm(end - start), x[k[~crossings]] - start)
+    for other in sheet.rows[1:]:
+        for v in k[np.isin(sheet.ids[k], other)]:
+            line = whole[other]
+            _, _, gaps = closest_on_segments(line[:-1], np.diff(line, axis=0), X[v])
+            assert 0.03 < np.linalg.norm(X[v] - bowed[v]) and gaps.min() < 3e-3
+    inner = k[~np.isin(sheet.ids[k], row[[0, -1]])]
+    off = np.cross((end - start) / np.linalg.norm(end - start), x[inner] - start)
     np.testing.assert_allclose(off, 0.0, atol=1e-13)
     others = np.setdiff1d(np.arange(len(X)), k)
     np.testing.assert_array_equal(X[others], bowed[others])
+
+
+def test_shared_vertices_leave_cells_room_on_their_way_below_a_span(comm: MPI.Intracomm) -> None:
+    """A span that passes three cells away takes no cell below a quarter of its first area."""
+    sheet = Sheet(square(comm))
+    row = sheet.rows[0]
+    start, end = sheet.whole(sheet.first)[row[[0, -1]]] + [0.0, 0.3, 0.0]
+    shared = row[np.isin(row, np.concatenate(sheet.rows[1:]))]
+    X, ratios = sheet.first, []
+    for _ in range(20):
+        last = X
+        X, _ = sheet.motion.under(X, X, [(0, shared, start, end)])
+        assert np.linalg.norm(X - last, axis=1).max() < 0.06, "half a cell"
+        ratios.append(sheet.motion.quality(X)[0][0])
+    assert ratios[0] > 0.4 and min(ratios) > 0.9 * ROOM and min(ratios) < 0.5
 
 
 def test_the_walk_ends_where_the_normal_meets_a_cell() -> None:
