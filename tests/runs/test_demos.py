@@ -214,7 +214,7 @@ def check_patterns(left: dict[str, Any]) -> None:
     """
     fine, got = left["size"] < 2.0, left["got"].whole.mean
     calm, storm = np.array([[one.mean() for one in both] for _, *both in left["found"].values()]).T
-    rtol = 0.02 if fine else 0.1
+    rtol = 0.02 if fine else 0.12  # of the cables, in strips narrower than these cells
     np.testing.assert_allclose(calm[1:] / calm[0], [1.06, 0.98, 0.98], rtol=rtol)
     np.testing.assert_allclose(storm[1:] / storm[0], [1.07, 0.99, 1.01], rtol=rtol)
     np.testing.assert_allclose(got, left["WANTED"], rtol=0.01 if fine else 0.05)

@@ -54,12 +54,12 @@ def strips(
 ) -> list[Seam]:
     """Make seams between two lines for the fewest strips of a given width. Collective.
 
-    Seams divide the distance between the lines evenly; geodesic ones are then pulled taut between
-    their ends, which saves fabric. Between lines that meet in a corner, such as two neighbouring
-    edges of a sail, strips fan out from the corner and are alike in width. Strips are added until
-    the distance between neighbouring seams over the surface fits the width. Where a seam touches an
-    edge that curves inward, it ends, and another goes on from where it leaves. `flatten` and the
-    layout on the roll check the flat pieces.
+    Seams divide the distance between the lines at equal shares, chosen so that the strips are alike
+    in width; geodesic ones are then pulled taut between their ends, which saves fabric. Between
+    lines that meet in a corner, such as two neighbouring edges of a sail, strips fan out from the
+    corner. Strips are added until the distance between neighbouring seams over the surface fits the
+    width. Where a seam touches an edge that curves inward, it ends, and another goes on from where
+    it leaves. `flatten` and the layout on the roll check the flat pieces.
 
     Parameters
     ----------
@@ -123,12 +123,11 @@ def strips(
             if across.max() <= usable * (1.0 + 1e-9):
                 seams = chain.from_iterable(_off_the_rim(surface, line) for line in lines)
                 return [seam_of(surface, f"{name} {k}", line) for k, line in enumerate(seams, 1)]
-            if not fan or across.sum() > count * usable or across.max() >= widest:
+            if across.sum() > count * usable or across.max() >= widest:
                 break  # strips that are alike would be too wide, or are as alike as can be
             widest, sums = across.max(), np.concatenate([[0.0], np.cumsum(across)])
             at = np.interp(np.linspace(0.0, sums[-1], count + 1), sums, at)
-        needed = across.sum() if fan else count * across.max()
-        count = max(count + 1, math.floor(needed / usable))
+        count = max(count + 1, math.floor(across.sum() / usable))
     raise PathError(
         f"strips: even {MOST_STRIPS} strips are wider than {usable:.6g}; use a wider roll."
     )
@@ -169,13 +168,14 @@ def _line(
 def _widths_of_strips(
     surface: PatternSurface, lines: Sequence[Points], middles: Sequence[Points]
 ) -> Array:
-    """Largest widths of strips between lines: from one line to the next, or for wedges, which are
-    narrower than that, the sum of those on both sides of their middle lines."""
+    """Largest widths of strips between lines: from either line to the other, or for wedges, which
+    are narrower than that, the sum of those on both sides of their middle lines."""
+    away = [surface.distances(line) for line in middles or lines]
     widths = list[float]()
     for k, (before, beyond) in enumerate(pairwise(lines)):
-        away = surface.distances(middles[k] if middles else before)
-        sides = (before, beyond) if middles else (beyond,)
-        widths.append(sum(max(_at(p, away) for p in line) for line in sides))
+        after = [_at(p, away[k]) for p in beyond]
+        back = [_at(p, away[k if middles else k + 1]) for p in before]
+        widths.append(max(after) + max(back) if middles else max(*after, *back))
     return np.array(widths)
 
 

@@ -9,7 +9,8 @@ import pytest
 from grids import grid
 from mpi4py import MPI
 
-from crms_fenicsx import InputError, PathError, meshes, patterns
+from crms_fenicsx import InputError, IsotropicMembrane, PathError, meshes, patterns
+from crms_fenicsx.design.form_finding import FormCable, find_form
 from crms_fenicsx.design.patterns.pattern_surface import PatternSurface
 from crms_fenicsx.foundation.surface.points import VertexPoint
 
@@ -115,6 +116,25 @@ def test_strips_are_as_wide_as_the_roll_allows(comm: MPI.Intracomm, kind: str) -
     for k, seam in enumerate(seams, 1):
         np.testing.assert_allclose(seam.path[:, 1], 1.2 * k, atol=2e-3)
     assert patterns.strips(mesh, "front", "back", 7.0) == []
+
+
+@pytest.mark.ranks
+def test_strips_between_edges_that_curve_are_alike(comm: MPI.Intracomm) -> None:
+    """Those along the edges of a sail, which curve inward, are cut as wide as those between them,
+    and none is wider than the roll."""
+    sides = ("front", "right", "back", "left")
+    found = find_form(
+        meshes.rectangle(comm, 10.0, 10.0, size=1.0),
+        stress=2.0,
+        fixed=["front left", "front right", "back right", "back left"],
+        lifted={"front left": (0.0, 0.0, 2.0), "back right": (0.0, 0.0, 2.0)},
+        cables=[FormCable(side, tension=25.0) for side in sides],
+    )
+    pieces = patterns.cut(found.mesh, patterns.strips(found.mesh, "front", "back", width=1.74))
+    fabric = IsotropicMembrane(E=900.0, nu=0.3, thickness=1.0)
+    widths = [one.width for one in patterns.flatten(pieces, fabric, warp="seams").flat]
+    assert len(widths) == 7
+    assert 0.9 * max(widths) < min(widths) and max(widths) <= 1.74
 
 
 @pytest.mark.ranks
