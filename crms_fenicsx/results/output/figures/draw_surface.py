@@ -221,8 +221,7 @@ def draw_shape(
     if faint is not None:
         _paint_seen(axes3d, outline_of(faint), flat[:0], tolerance, (*_GHOST, 0.6))
     _paint_seen(axes3d, held, flat, _BEHIND * size, INK, 2.4)
-    if len(feet):
-        _paint_feet(axes3d, camera.project(feet), flat, tolerance)
+    _paint_feet(axes3d, camera.project(feet), flat, tolerance)
     strokes: Array = np.reshape(() if how.strokes is None else how.strokes, (-1, 2, 3))
     _paint_seen(axes3d, strokes, flat, tolerance, "white", 1.6)
     _paint_arrows(axes3d, how.arrows)
@@ -394,6 +393,8 @@ def _paint_arrows(axes3d: Axes3D, given: ArrayLike | None) -> None:
 
 def _paint_feet(axes3d: Axes3D, places: Array, flat: Array, tolerance: float) -> None:
     """Paint supports at projected places (k, 3), each a triangle on a piece of ground."""
+    if len(places) == 0:
+        return
     ground = places - (0.0, 8.0 * axes3d.point, 0.0)
     at = places[visible(places, flat, tolerance) & visible(ground, flat, tolerance)]
     axes3d.axes.scatter(
