@@ -112,10 +112,8 @@ def line_style(
                 known = ", ".join(line.data) or "no data"
                 raise InputError(f"the line {line.name!r} has no {data!r}; it has {known}.")
     off = [_off_segments(line, loose) for line in lines]
-    clamps = [
-        np.asarray(line.points)[np.asarray(line.data["clamp"]) > 0.0]
-        for line in lines if "clamp" in line.data
-    ]  # fmt: skip
+    clamps = [np.asarray(line.points)[np.asarray(line.data["clamp"]) > 0.0] for line in lines
+              if "clamp" in line.data]  # fmt: skip
     if name is None:
         return _LineStyle([], None, "", off, clamps)
     values = [np.asarray(line.data[name]) for line in lines]
