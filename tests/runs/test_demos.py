@@ -64,19 +64,19 @@ def check_air_dome(left: dict[str, Any]) -> None:
 
 
 def check_air_hall(left: dict[str, Any]) -> None:
-    """Measured at sizes 1.8 and 2.0: 16.7 and 17.0 kN on average in operation, 74.2 and 74.3 kN in
-    the storm, 85.1 and 85.8 kN in the diagonal one, 0.385 and 0.384 kPa in the gust.
+    """Measured at size 1.8: 17.1 kN on average in operation, 74.3 kN in the storm, 84.7 kN
+    in the diagonal one, 37.8 kN under drifted snow, 0.378 kPa in the gust.
     """
     solver, form, found = left["solver"], left["form"], left["found"]
-    rtol = 0.03 if left["size"] < 2.1 else 0.2
+    rtol = 0.03 if left["size"] < 2.1 else 0.25
     largest = [found[name][0] for name in ("Storm", "Diagonal storm", "Drifted snow")]
-    np.testing.assert_allclose(left["operation"].mean(), 16.8, rtol=rtol)
-    np.testing.assert_allclose(largest, [74.2, 85.1, 35.9], rtol=rtol)
+    np.testing.assert_allclose(left["operation"].mean(), 17.0, rtol=rtol)
+    np.testing.assert_allclose(largest, [74.3, 84.9, 37.0], rtol=rtol)
     np.testing.assert_allclose(form.mesh.mesh.geometry.x[:, 2].max(initial=9.4), 9.45, atol=0.1)
     assert 0.35 < max(used for _, used, _ in found.values()) < 0.7
     assert found["Storm"][2] < 1.2
     solver.restore(left["cases"]["Gust, sealed"].snapshot)
-    np.testing.assert_allclose(solver.scene.pressure, 0.385, rtol=rtol)
+    np.testing.assert_allclose(solver.scene.pressure, 0.38, rtol=rtol)
     assert left["CALM"] < solver.scene.pressure < left["STORM"]
     solver.restore(left["calm"])  # the rim and the anchors balance the lift of the air
     balance = 0.0105 * form.area - left["CALM"] * 4 * left["HALF"] ** 2

@@ -128,10 +128,10 @@ PRESSED = "Pressure acts on"
 """Property that only models under inner pressure need."""
 
 STATE = {
-    "materials": (), "supports": (3,), "cables": (2,), "bars": (3,), "joints": (2, 3, 4),
+    "materials": (1,), "supports": (3,), "cables": (2,), "bars": (3,), "joints": (2, 3, 4),
     "loads": (3, 4, 5, 6), "cable values": (), "cable make": (), "bar values": (6, 7, 8, 9, 10),
 }  # fmt: skip
-"""Tables whose listed columns depend on the state."""
+"""Tables whose listed columns depend on the state; areas of parts do as rows slide."""
 
 
 def merged(models: Mapping[str, Model], stages: Collection[str] = ()) -> Model:
