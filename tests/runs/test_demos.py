@@ -22,7 +22,7 @@ PROMISED = {
     "air_hall": (["operation", "storm", "both"], {".": 9}, ["6.0"]),
     "code_loads": (["fabric", "cable", "both"], {".": 25}, ["1.4"]),
     "clamped_net": (["sliding", "clamped", "both"], {"sliding": 2, "clamped": 2}, ["2.4"]),
-    "net_tuning": (["tuned"], {".": 5}, ["2.4"]),
+    "net_tuning": (["tuned"], {".": 4}, ["2.4"]),
     "patterns": (["roll", "built"], {".": 2}, ["6.0"]),
     "capstan": (["taken_in", "let_out", "profile", "both"], {".": 10}, ["1.6"]),
     "friction_experiment": (

@@ -59,7 +59,7 @@ def test_angles_of_a_hall() -> None:
 @pytest.mark.filterwarnings("ignore::crms_fenicsx.PathWarning")
 def test_lines_and_folded_cables_have_one_limit() -> None:
     """Of tensions; errors on meshes along the cables fall with the cells' size to the square."""
-    on_rim = (72, 96, 120)
+    on_rim = (96, 120, 144)
     found = lines.limits(1.0, on_rim)
     limit = found["folded"][-1, 0]
     for way in ("cut", "lines"):

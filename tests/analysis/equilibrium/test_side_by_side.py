@@ -124,7 +124,7 @@ def test_they_touch_part_and_touch_again(comm: MPI.Intracomm) -> None:
         assert step.verification["depth in a cable beside"].value < 2e-4
         assert 0.9998 * 0.05 < distances(cables).min() < 0.05
         assert (distances(cables) < 0.0502).sum() >= 9
-        assert [cable.tension for cable in cables] == pytest.approx(known, rel=1e-8), way
+        assert [cable.tension for cable in cables] == pytest.approx(known, rel=1e-7), way
         solver.advance(pressure=PRESSURE / 4, L0={cables[0]: 1.02 * SIDE})
         assert distances(cables).min() > 0.25
         assert not solver.contact_forces(cables[0]).beside.any()
@@ -235,7 +235,7 @@ def test_belts_from_common_anchors(comm: MPI.Intracomm, diameter: float) -> None
     solver.advance(pressure=PRESSURE / 4, L0={cables[0]: 1.02 * SIDE})
     assert not solver.contact_forces(cables[0]).beside[2:-2].any()
     solver.advance(pressure=PRESSURE, L0=dict.fromkeys(cables, SIDE))
-    assert [cable.tension for cable in cables] == pytest.approx(known, rel=1e-8)
+    assert [cable.tension for cable in cables] == pytest.approx(known, rel=1e-7)
 
 
 @pytest.mark.ranks
