@@ -131,7 +131,10 @@ STATE = {
     "materials": (1,), "supports": (3,), "cables": (2,), "bars": (3,), "joints": (2, 3, 4),
     "loads": (3, 4, 5, 6), "cable values": (), "cable make": (), "bar values": (6, 7, 8, 9, 10),
 }  # fmt: skip
-"""Tables whose listed columns depend on the state; areas of parts do as rows slide."""
+"""Tables whose listed columns depend on the state; areas of parts do as lines slide."""
+
+SLID = "Sides of cells"
+"""Property of the mesh that depends on the state as lines slide."""
 
 
 def merged(models: Mapping[str, Model], stages: Collection[str] = ()) -> Model:
@@ -155,6 +158,8 @@ def merged(models: Mapping[str, Model], stages: Collection[str] = ()) -> Model:
     texts: dict[Cell, dict[Cell, list[str]]] = {}
     for names, model in models.items():
         for name, text in model.tables["mesh"].rows:
+            if model is not first and str(name).startswith(SLID):
+                text = next(iter(texts[name]))
             texts.setdefault(name, {}).setdefault(text, []).append(names)
     rows = [
         (name, "; ".join(
@@ -188,7 +193,7 @@ def _mesh(scene: Scene, areas: Array, extents: list[float], units: Units) -> lis
     rows: list[Row] = [
         ("Triangular cells", cells),
         ("Vertices", scene.V.dofmap.index_map.size_global),
-        (f"Sides of cells{m}: least, mean, largest", ", ".join(map(number, lengths))),
+        (f"{SLID}{m}: least, mean, largest", ", ".join(map(number, lengths))),
         (f"Extents in x, y, z, stress-free{m}", " by ".join(map(number, extents))),
         (f"Stress-free area{units['area']}", comm.allreduce(float(areas.sum()))),
         *_theory(scene, units).items(),
