@@ -341,10 +341,10 @@ def shown(value: Cell) -> str:
 
 
 def whole(text: str) -> Any:
-    """A text as HTML in which no unit, such as kN/m or 28.5 %, is broken over two lines."""
+    """A text as HTML in which no unit, such as kN/m, is broken over two lines."""
     from markupsafe import Markup, escape
 
-    return Markup(re.sub(r"\S+/\S+|\S+ %", r'<span class="unit">\g<0></span>', str(escape(text))))
+    return Markup(re.sub(r"\S+/\S+", r'<span class="unit">\g<0></span>', str(escape(text))))
 
 
 def number(value: float) -> str:
