@@ -133,9 +133,6 @@ STATE = {
 }  # fmt: skip
 """Tables whose listed columns depend on the state; areas of parts do as lines slide."""
 
-SLID = "Sides of cells"
-"""Property of the mesh that depends on the state as lines slide."""
-
 
 def merged(models: Mapping[str, Model], stages: Collection[str] = ()) -> Model:
     """One model from the models of the combinations, with what is other in stages of erection."""
@@ -158,9 +155,8 @@ def merged(models: Mapping[str, Model], stages: Collection[str] = ()) -> Model:
     texts: dict[Cell, dict[Cell, list[str]]] = {}
     for names, model in models.items():
         for name, text in model.tables["mesh"].rows:
-            if model is not first and str(name).startswith(SLID):
-                text = next(iter(texts[name]))
-            texts.setdefault(name, {}).setdefault(text, []).append(names)
+            of = texts.setdefault(name, {})  # sides of cells change as lines slide
+            of.setdefault(next(iter(of), text) if "Sides" in str(name) else text, []).append(names)
     rows = [
         (name, "; ".join(
             str(text) if len(of) == len(models) else f"{', '.join(of)}: {text}"
@@ -193,7 +189,7 @@ def _mesh(scene: Scene, areas: Array, extents: list[float], units: Units) -> lis
     rows: list[Row] = [
         ("Triangular cells", cells),
         ("Vertices", scene.V.dofmap.index_map.size_global),
-        (f"{SLID}{m}: least, mean, largest", ", ".join(map(number, lengths))),
+        (f"Sides of cells{m}: least, mean, largest", ", ".join(map(number, lengths))),
         (f"Extents in x, y, z, stress-free{m}", " by ".join(map(number, extents))),
         (f"Stress-free area{units['area']}", comm.allreduce(float(areas.sum()))),
         *_theory(scene, units).items(),
