@@ -105,11 +105,12 @@ def test_hall_in_30_minutes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.chdir(tmp_path)
     names: dict[str, Any] = {}
     for block in code("hall"):
-        block = block.replace("size=2.0", "size=3.0").replace("cases,", 'cases, pictures=["warp"],')
+        block = block.replace("size=1.5", "size=3.0").replace("cases,", 'cases, pictures=["warp"],')
         run(re.sub(r' +"(Operation|Storm along x)": .*\n', "", block), names, "hall")
     assert len(names["cables"]) == 8
     assert names["form"].pressure == pytest.approx(0.3, abs=0.01)
-    assert min(cable.tension for cable in names["cables"]) > 5.0
+    tensions = [cable.tension for cable in names["cables"]]  # in the storm along y
+    assert 3.0 < min(tensions) and max(tensions) == pytest.approx(58.4, rel=0.1)
     assert Path("results/hall/report.html").stat().st_size > 1e5
     assert Path("results/hall/operation.png").exists()
 

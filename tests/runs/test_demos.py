@@ -64,14 +64,14 @@ def check_air_dome(left: dict[str, Any]) -> None:
 
 
 def check_air_hall(left: dict[str, Any]) -> None:
-    """Measured at size 1.8: 17.1 kN on average in operation, 74.3 kN in the storm, 84.7 kN
-    in the diagonal one, 37.8 kN under drifted snow, 0.378 kPa in the gust.
+    """Measured at size 1.8: 16.3 kN on average in operation, 71.5 kN in the storm, 82.1 kN
+    in the diagonal one, 35.7 kN under drifted snow, 0.378 kPa in the gust.
     """
     solver, form, found = left["solver"], left["form"], left["found"]
     rtol = 0.03 if left["size"] < 2.1 else 0.25
     largest = [found[name][0] for name in ("Storm", "Diagonal storm", "Drifted snow")]
-    np.testing.assert_allclose(left["operation"].mean(), 17.0, rtol=rtol)
-    np.testing.assert_allclose(largest, [74.3, 84.9, 37.0], rtol=rtol)
+    np.testing.assert_allclose(left["operation"].mean(), 16.3, rtol=rtol)
+    np.testing.assert_allclose(largest, [71.5, 82.1, 35.7], rtol=rtol)
     np.testing.assert_allclose(form.mesh.mesh.geometry.x[:, 2].max(initial=9.4), 9.45, atol=0.1)
     assert 0.35 < max(used for _, used, _ in found.values()) < 0.7
     assert found["Storm"][2] < 1.2

@@ -23,7 +23,7 @@ from crms_fenicsx import (
 from crms_fenicsx.foundation.runtime.arrays import Array
 from crms_fenicsx.model.materials import MembraneMaterial
 from crms_fenicsx.results.output.report.design_tables import alike
-from crms_fenicsx.results.output.report.model_tables import model_of_scene
+from crms_fenicsx.results.output.report.model_tables import merged, model_of_scene
 from crms_fenicsx.results.output.report.page import Units
 
 COMM = MPI.COMM_SELF
@@ -197,3 +197,20 @@ def test_loads_say_what_they_follow() -> None:
     assert ranges["drift"] == "0.3000" and ranges["suction"] == "\u22120.8000"
     low, high = map(float, ranges["storm"].split(" to "))
     assert 0.0 < low < 0.3 and 0.5 < high < 0.8  # of centres, averaged around vertices
+
+
+def test_meshes_with_lines_that_have_slid_are_told_once() -> None:
+    """Sides of cells are those of the first base state; what else differs has its combinations."""
+    scene = sheet(COMM, 4, side=4.0)
+    first = model_of_scene(scene, Units("m", "kN"))
+    middle = np.linalg.norm(scene.mesh.mesh.geometry.x - (2.0, 2.0, 0.0), axis=1).argmin()
+    scene.mesh.mesh.geometry.x[middle, 0] += 0.01
+    scene.seal(volume=1000.0)
+    slid = model_of_scene(scene, Units("m", "kN"))
+    alone, later, both = (
+        dict(model.tables["mesh"].rows)
+        for model in (first, slid, merged({"calm": first, "gust": slid}))
+    )
+    sides = "Sides of cells [m]: least, mean, largest"
+    assert later[sides] != alone[sides] == both[sides]
+    assert str(both["Air"]).startswith("gust: sealed")

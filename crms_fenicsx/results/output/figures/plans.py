@@ -87,10 +87,10 @@ def draw_forces(plan: ForcePlan, unit: str, force: str, dpi: int, width: float =
         if across:
             axes.texts[-1].set(rotation=90, va="bottom" if out[1] > 0.0 else "top")
     _write_apart(axes, named, plan.rim[..., :2])
-    text = [f"largest horizontal force {plan.most:.4g} {force}".rstrip()] if plan.points else []
+    text = [f"arrows up to {plan.most:.4g} {force} in all plans"] if plan.points else []
     if plan.most_per_length > 0.0:
         per = f"{force}/{unit}" if force and unit else ""
-        text.append(f"largest force of the rim {plan.most_per_length:.4g} {per}".rstrip())
+        text.append(f"rim up to {plan.most_per_length:.4g} {per} in all plans")
     axes.set_title("\n".join(text), fontsize=8, color=INK)
     return png_of(axes.figure, dpi)
 

@@ -131,7 +131,7 @@ STATE = {
     "materials": (1,), "supports": (3,), "cables": (2,), "bars": (3,), "joints": (2, 3, 4),
     "loads": (3, 4, 5, 6), "cable values": (), "cable make": (), "bar values": (6, 7, 8, 9, 10),
 }  # fmt: skip
-"""Tables whose listed columns depend on the state; areas of parts do as rows slide."""
+"""Tables whose listed columns depend on the state; areas of parts do as lines slide."""
 
 
 def merged(models: Mapping[str, Model], stages: Collection[str] = ()) -> Model:
@@ -155,7 +155,8 @@ def merged(models: Mapping[str, Model], stages: Collection[str] = ()) -> Model:
     texts: dict[Cell, dict[Cell, list[str]]] = {}
     for names, model in models.items():
         for name, text in model.tables["mesh"].rows:
-            texts.setdefault(name, {}).setdefault(text, []).append(names)
+            of = texts.setdefault(name, {})  # sides of cells change as lines slide
+            of.setdefault(next(iter(of), text) if "Sides" in str(name) else text, []).append(names)
     rows = [
         (name, "; ".join(
             str(text) if len(of) == len(models) else f"{', '.join(of)}: {text}"
