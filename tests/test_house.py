@@ -61,7 +61,7 @@ BUDGETS = {
     "energy": 7589,
     "cabling": 8512,
     "analysis": 8257,
-    "results": 12263,
+    "results": 12262,
     "solver": 1063,
     "design": 9732,
 }
