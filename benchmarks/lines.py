@@ -333,7 +333,8 @@ def limits(shortened: float, on_rim: Sequence[int] = ON_RIM) -> dict[str, NDArra
     for way in WAYS:
         tensions = [alike(way, n, shortened) for n in on_rim]
         rows = np.array([(T.mean(), T.max()) for T in tensions])
-        fit = np.polyfit(1.0 / np.square(on_rim), rows, 1)[1]  # of the cells' size to the square
+        finest = 1.0 / np.square(on_rim[-3:])  # of the cells' size to the square
+        fit = np.polyfit(finest, rows[-3:], 1)[1]
         found[way] = np.concatenate([rows, fit[None]])
         for what, row in zip(("mean", "max"), found[way].T, strict=True):
             print(f"{way:22}{what:10}" + "".join(f"{T:8.3f}" for T in row), flush=True)

@@ -49,6 +49,8 @@ class Motions:
     _ways: list[Array] = field(default_factory=list)
     """Shifts of the last solves on the same contacts, and those made then."""
     _steps: list[Array] = field(default_factory=list)
+    _thrown: tuple[Array, float] = (np.zeros((0, 3)), 1.0)
+    """Shift of the last solve that was interrupted, and the part of it that was made."""
 
     def let_rest(self, way: float, solved: bool, windy: bool) -> None:
         """Let rows stay if the largest shift, relative to the cell size, is slow, and in wind once
@@ -61,10 +63,17 @@ class Motions:
 
     def further(self, rows: RowShifts, ways: Array, solved: bool) -> Array:
         """Shifts (m, 3) to make beyond those of a solve (m, 3), so that rows come to rest as their
-        last motions tell: Anderson's extrapolation of a fixed point, not over new contacts."""
+        last motions tell: Anderson's extrapolation of a fixed point, not over new contacts. Rows
+        that solves would throw to and fro move by a part of it, by Aitken's factor."""
         if not solved:
             self._ways, self._steps = [], []
-            return np.zeros_like(ways)
+            last, factor = self._thrown
+            change = ways - last if ways.shape == last.shape else np.zeros_like(ways)
+            back = -float(np.vdot(last, change)) if change.any() else 0.0
+            factor = min(1.0, factor * back / float(np.vdot(change, change))) if back > 0.0 else 1.0
+            self._thrown = ways, factor
+            return (factor - 1.0) * ways
+        self._thrown = np.zeros((0, 3)), 1.0
         step = ways.ravel()
         self._ways.append(step)
         if self._steps:
@@ -127,7 +136,7 @@ class RowSliding:
         self.motions.let_rest(way, solved, windy)
         if way > NEAR:
             motion = self._renewed(rows.vertices)
-            further = self.motions.further(rows, ways, solved and not windy)
+            further = 0.0 * ways if windy else self.motions.further(rows, ways, solved)
             X, x = motion.move(X, x, (rows.vertices, further))
             self.collapse = self._narrowed(motion, X, COLLAPSED)
         self._keep_rows(moved=False)
