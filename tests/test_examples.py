@@ -63,10 +63,13 @@ scene = Scene(mesh, {"roof": fabric, "wall": fabric})
 scene.fix("boundary")
 solver = Solver(scene)
 """
-DESIGNED = PARTS + """
+DESIGNED = (
+    PARTS
+    + """
 from crms_fenicsx import codes
 scene.lay_cable(Cable(EA=1e3), [(0.0, 0.5), (4.0, 0.5)], name="ridge")
 """
+)
 BEFORE = {
     **dict.fromkeys(("nets.lengths_to_order", "nets.tune"), NET),
     **dict.fromkeys(("Scene.put_wind", "Scene.set_material"), PARTS),

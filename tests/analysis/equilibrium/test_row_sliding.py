@@ -4,6 +4,7 @@ square against its reference figures (kgf, cm), and states that no history may c
 from __future__ import annotations
 
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from same_state import assert_same_state
 from sliding_rows import EA, PRESSURE, in_units, oblique, row_places, rowed, rowed_mesh
 
 from crms_fenicsx import Cable, ConvergenceError, InputError, LaidCable, Solver
-from crms_fenicsx.analysis.equilibrium.row_sliding import RowSliding
+from crms_fenicsx.analysis.equilibrium.row_sliding import Motions, RowSliding
 from crms_fenicsx.analysis.equilibrium.system import System
 from crms_fenicsx.analysis.scene.scene import place_stress_free
 
@@ -327,3 +328,18 @@ def test_sensitivities_against_differences(comm: MPI.Intracomm) -> None:
             results.append([a.tension, b.tension, scene.energy])
         differences = (np.array(results[0]) - results[1]) / (2 * h)
         np.testing.assert_allclose(found.values[:, j], differences, rtol=1e-5)
+
+
+def test_rows_that_are_thrown_to_and_fro_move_by_half_of_it() -> None:
+    """And by all of it where interrupted solves go on in one direction, or to a new one."""
+    motions, rows = Motions(), Mock(sizes=np.ones(2))
+    way = np.array([(0.7, 0.0, 0.0), (0.2, 0.1, 0.0)])
+    made = [one + motions.further(rows, one, solved=False) for one in (way, 0.8 * way, -0.8 * way)]
+    np.testing.assert_allclose(made[:2], [way, 0.8 * way])
+    np.testing.assert_allclose(made[2], -0.4 * way)
+    again = 0.4 * way
+    np.testing.assert_allclose(again + motions.further(rows, again, solved=False), 0.4 / 3 * way)
+    np.testing.assert_array_equal(motions.further(rows, way, solved=True), 0.0 * way)
+    np.testing.assert_array_equal(motions.further(rows, -way, solved=False), 0.0 * way)
+    other = way[:1]  # of other vertices
+    np.testing.assert_array_equal(motions.further(rows, other, solved=False), 0.0 * other)
