@@ -60,8 +60,8 @@ BUDGETS = {
     "model": 3897,
     "energy": 7589,
     "cabling": 8512,
-    "analysis": 8257,
-    "results": 12262,
+    "analysis": 8266,
+    "results": 12264,
     "solver": 1063,
     "design": 9732,
 }

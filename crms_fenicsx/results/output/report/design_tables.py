@@ -15,10 +15,12 @@ from crms_fenicsx.results.output.report.page import WHOLE, Cell, Table, Units, n
 from crms_fenicsx.results.output.report.results_tables import Row
 
 CABLES = (
+    "Design values of the cables: F_Rd = min(F_uk / (1.5 gamma_R), F_k / gamma_R) by EN 1993-1-11, "
+    "(6.2), or as given",
     "Cable|F_min{force}|k_e|F_uk = k_e F_min{force}|F_k{force}|gamma_R|F_Rd{force}|"
-    "In service{force}"
+    "In service{force}",
 )
-"""Headings of cables' design values."""
+"""Caption and headings of cables' design values."""
 
 MAKE = (
     "Cable|Construction|Diameter{length}|Metallic area{area}|Modulus{pressure}|EA{force}|"

@@ -70,7 +70,7 @@ def model_of_scene(scene: Scene, units: Units) -> Model:
         "mesh": ("Mesh and theory", "Property|Value", _mesh(scene, areas, extents, units)),
         "materials": ("Membrane", "Part|Area{area}|Material|Data", _materials(scene, areas, units)),
         "cable make": ("Make of the cables", MAKE, cable_make(scene, units)),
-        "cable values": ("Design values of the cables", CABLES, cable_values(scene)),
+        "cable values": (*CABLES, cable_values(scene)),
         "bar values": (*BARS, bar_values(scene.bars, units)),
         "limits": (
             "Limits in service",
