@@ -30,6 +30,8 @@ halls
     Air halls of 36 m by 36 and by 54 with nets of diagonals, in operation and in a diagonal storm:
     cables that fold the cells of a mesh of their own, and cables along lines of a mesh with as many
     unknowns; time, tensions, and what these lead to on finer meshes.
+calm
+    The halls in operation, both ways on one found form each, on four finer meshes.
 limits
     Four cables in pockets that are alike, on a dome: tensions on meshes of several sizes, cut along
     the cables, made with lines and with folded cells, and where they lead to.
@@ -203,6 +205,7 @@ HALLS = [
          (1.0, 0.0, 0.0)),
 ]  # fmt: skip
 SIZES = {"36 x 36": (1.7, 1.2, 0.8), "36 x 54": (1.4, 1.0, 0.75)}
+FINER = {"36 x 36": (1.2, 0.8, 0.6, 0.5), "36 x 54": (1.0, 0.75, 0.6, 0.5)}
 
 
 def diagonal_wind(points: NDArray[np.float64], normals: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -222,21 +225,51 @@ class Storm:
     doubts: int
 
 
-def in_the_storm(hall: Hall, form: FoundForm, net: nets.Net) -> Storm:
-    """Lay the net on a form, and advance to operation and to the storm."""
+def in_operation(
+    hall: Hall, form: FoundForm, net: nets.Net
+) -> tuple[Solver, list[LaidCable], tuple[float, float]]:
+    """A net in operation on a form, its cables, and CPU seconds of laying and of the load step."""
     scene = form.scene(hall.material)
     laying, cables = timed(lambda: scene.lay_net(net, Cable(EA=20e3)))
     scene.put_load((0.0, 0.0, -0.0105), name="weight", per="material")
     solver = Solver(scene)
     lengths: dict[object, float] = {cable: TIGHTENED * cable.L0 for cable in cables}
     calm, _ = timed(lambda: solver.advance(pressure=CALM, load={"weight": 1.0}, L0=lengths))
+    return solver, cables, (laying, calm)
+
+
+def in_the_storm(hall: Hall, form: FoundForm, net: nets.Net) -> Storm:
+    """Lay the net on a form, and advance to operation and to the storm."""
+    solver, cables, seconds = in_operation(hall, form, net)
     at_calm = np.array([cable.tension for cable in cables])
-    scene.put_wind(0.5, diagonal_wind, name="wind")
+    solver.scene.put_wind(0.5, diagonal_wind, name="wind")
     storm, step = timed(lambda: solver.advance(pressure=STORM, load={"wind": 1.5}))
     at_storm = np.array([cable.tension for cable in cables])
     unknowns = 3 * solver.system.unknowns.n_global
     doubts = len(step.verification.doubtful) if step.verification else 0
-    return Storm((laying, calm, storm), at_calm, at_storm, unknowns, doubts)
+    return Storm((*seconds, storm), at_calm, at_storm, unknowns, doubts)
+
+
+def calm_hall(hall: Hall, sizes: Sequence[float]) -> None:
+    """Mean, smallest and largest tension in operation, both ways on one form each."""
+    print(f"\nhall {hall.name}, calm".ljust(25) + "size  unknowns      s   T mean    min    max")
+    found: dict[str, list[tuple[float, float, float]]] = {"folded": [], "along lines": []}
+    for size in sizes:
+        form = hall.form(size)
+        net = hall.net(form)
+        for way, tensions in found.items():
+            own = form if way == "folded" else form.along(net)
+            solver, cables, (_, spent) = in_operation(hall, own, net)
+            T = np.array([cable.tension for cable in cables])
+            tensions.append((T.mean(), T.min(), T.max()))
+            unknowns = 3 * solver.system.unknowns.n_global
+            print(f"{way:23}{size:6.2f}{unknowns:10}{spent:7.1f}"
+                  + "{:9.2f}{:7.2f}{:7.2f}".format(*tensions[-1]), flush=True)  # fmt: skip
+    ends = {way: limit(sizes, tensions) for way, tensions in found.items()}
+    for way, end in ends.items():
+        print(f"{way:23} limit".ljust(46) + "{:9.2f}{:7.2f}{:7.2f}".format(*end))
+    apart = ends["along lines"] / ends["folded"] - 1
+    print("apart".ljust(46) + "{:9.2%}{:7.2%}{:7.2%}".format(*apart), flush=True)
 
 
 def halls(hall: Hall, size: float, repeats: int) -> tuple[tuple[float, NDArray[np.float64]], ...]:
@@ -529,6 +562,10 @@ def tables(chosen: argparse.Namespace) -> dict[str, Callable[[], Any]]:
             sizes = [size / finer for size in SIZES[hall.name]]
             limits_of_halls([halls(hall, size, repeats) for size in sizes])
 
+    def calm_halls() -> None:
+        for hall in HALLS:
+            calm_hall(hall, [size / finer for size in FINER[hall.name]])
+
     def of_limits() -> None:
         on_rim = [24 * max(round(n * finer / 24), 1) for n in ON_RIM]
         for shortened in (1.0, 0.995):
@@ -544,6 +581,7 @@ def tables(chosen: argparse.Namespace) -> dict[str, Callable[[], Any]]:
         "folded": lambda: [folded(unknowns * scale) for unknowns in FOLDED],
         "mirrored": lambda: mirrored(MIRRORED * scale),
         "halls": air_halls,
+        "calm": calm_halls,
         "net": lambda: cable_net([size / finer for size in NET_SIZES]),
         "roofs": lambda: many_roofs(range(*chosen.roofs), chosen.unknowns * scale),
         "limits": of_limits,
