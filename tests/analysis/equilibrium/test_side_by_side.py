@@ -175,19 +175,25 @@ def test_too_thin_for_their_diameters(comm: MPI.Intracomm) -> None:
     assert_same_state(scene.state, kept)
 
 
+def refused(scene: Scene, cables: list[LaidCable], one: float, other: float, *words: str) -> None:
+    """In place of two cables, the second of two with these diameters is refused in some words."""
+    for cable in cables:
+        scene.remove(cable)
+    scene.lay_cable(Cable(EA, diameter=one), along="A", name="one")
+    kept = scene.state
+    with pytest.raises(InputError) as told:
+        scene.lay_cable(Cable(EA, diameter=other), along="B", name="other")
+    for word in words:
+        assert word in str(told.value)
+    assert_same_state(scene.state, kept)
+
+
 @pytest.mark.ranks
 def test_laid_too_near(comm: MPI.Intracomm) -> None:
     """The refusal names both cables, their distance and diameters, and what to do."""
     scene, cables = beside(comm, 0.3, 0.25)
-    for cable in cables:
-        scene.remove(cable)
-    scene.lay_cable(Cable(EA, diameter=0.2), along="A", name="one")
-    kept = scene.state
-    with pytest.raises(InputError) as told:
-        scene.lay_cable(Cable(EA, diameter=0.5), along="B", name="other")
-    for words in ("'one' would lie 0.3 from 'other'", "0.2 and 0.5", "at 0.35", "further apart"):
-        assert words in str(told.value)
-    assert_same_state(scene.state, kept)
+    words = "'one' would lie 0.3 from 'other'", "0.2 and 0.5", "at 0.35", "further apart"
+    refused(scene, cables, 0.2, 0.5, *words)
     scene.lay_cable(Cable(EA, diameter=0.39), along="B", name="other")
 
 
@@ -267,24 +273,8 @@ def test_which_vertices_of_crossing_cables_face_each_other(comm: MPI.Intracomm) 
 def test_belts_that_never_part(comm: MPI.Intracomm) -> None:
     """They would have no contact anywhere, which is refused; two along one line are stacked."""
     scene, cables = belts(comm, 0.5)
-    kept = scene.state
-    for cable in cables:
-        scene.remove(cable)
-    scene.lay_cable(Cable(EA, diameter=20.0), along="A", name="one")
-    kept = scene.state
-    with pytest.raises(InputError) as told:
-        scene.lay_cable(Cable(EA, diameter=13.0), along="B", name="other")
-    for words in (
-        "'one'",
-        "'other'",
-        "common vertex",
-        "16.5",
-        "20 and 13",
-        "no contact",
-        "smaller",
-    ):
-        assert words in str(told.value)
-    assert_same_state(scene.state, kept)
+    words = "'one'", "'other'", "common vertex", "16.5", "20 and 13", "no contact", "smaller"
+    refused(scene, cables, 20.0, 13.0, *words)
     scene.lay_cable(Cable(EA, diameter=11.0), along="B", name="other")
     scene.lay_cable(Cable(EA, diameter=20.0), along="A", name="on top")
 
